@@ -280,7 +280,7 @@ RULES: tuple[Rule, ...] = (
     Rule("negligible effect set aside", threshold("search", "set_aside", 0)),
     Rule("effect of no size taken out", gives(search, "has_size", _always)),
     Rule("swap of effects", gives(search, "_swapped", _not_swapped)),
-    Rule("backward elimination", gives(search, "_back", _as_it_is)),
+    Rule("backward elimination", gives(search, "back", _as_it_is)),
     Rule("several sets side by side", threshold("search", "frontier", 1)),
     Rule("only what screening promises is fitted", threshold("screening", "kept", 0.0)),
     Rule("Šidák's adjustment over the library", gives(search, "adjusted_p", _one_test)),

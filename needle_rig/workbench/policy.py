@@ -11,7 +11,12 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from needle_rig.numerics import beyond_chance
+from needle_rig.physics.torque_scale import RIGIDITY_NM2, TORQUE_SPAN_NM
 from needle_rig.records import JsonObject
+from needle_rig.units import nm, nmm, rad
+
+IN_TISSUE_M = 0.22
+"""Length of the shipped needle that is in tissue."""
 
 TABLE = "judged by the campaign diagnosis_table: 920 datasets with known answers"
 CHOSEN = "chosen, not derived; " + TABLE
@@ -56,9 +61,6 @@ class NoisePolicy:
         "angles are compared no finer than the solver promises",
         "solver.DEFAULT_TOLERANCE_RAD: 0.034°",
         _NOISE,
-    )
-    floor_nmm: float = _threshold(
-        1.5e-4, "the same of the base torque", "0.03° over 220 mm of the shipped needle", _NOISE
     )
     held_share: float = _threshold(
         0.1,
@@ -109,6 +111,11 @@ class NoisePolicy:
         _NOISE,
     )
     motion_dof: float = _threshold(10.0, "differences of replicates that the floor is worth", CHOSEN, _NOISE)
+
+    @property
+    def floor_nmm(self) -> float:
+        """The same of the base torque: what twists the needle's shaft in the tissue by `floor_deg`."""
+        return nmm(RIGIDITY_NM2 * rad(self.floor_deg) / IN_TISSUE_M)
 
 
 @dataclass(frozen=True)
@@ -293,9 +300,12 @@ class SizePolicy:
         "below the median of the library's effects: 0.0009",
         _RULES,
     )
-    percent: float = _threshold(
-        2.0, "friction or rigidity off by this", "moves a windup torque of 0.1 N·mm by `largest_nmm`", _RULES
-    )
+
+    @property
+    def percent(self) -> float:
+        """Friction or rigidity off by this moves the torque at the end of the needle's span by
+        `largest_nmm`."""
+        return 100.0 * nm(self.largest_nmm) / (0.5 * TORQUE_SPAN_NM)
 
     def small(self, rms: float, unit: str, torque_scale: float = 1.0) -> bool:
         """Whether a change of this root mean square, in °, N·mm or %, does not matter, of a shaft of this

@@ -99,8 +99,8 @@ class LinearisedFit:
     """The place (T,) of each trial's recorded trial: blocks of one have one random effect."""
     fixed: tuple[int, ...] = ()
     """Places of shared parameters that do not move."""
-    held: tuple[int, ...] = ()
-    """Those of them that no fit moves, and that no data can tell by a slope."""
+    uncounted: tuple[int, ...] = ()
+    """Places of the scaled values whose freedom is not paid for by number (`FreeParameter.counted`)."""
 
     @classmethod
     def at(
@@ -137,8 +137,8 @@ class LinearisedFit:
         for place in fixed:
             from_centre[place], precision[place] = 0.0, EXACT**-2
         means = tuple(2 + places for places in constrained_means(parameters))
-        held = tuple(2 + k for k, a in enumerate(parameters) if a.held)
-        return cls(trials, from_centre, precision, means, recorded, fixed, held)
+        uncounted = tuple(2 + k for k, a in enumerate(parameters) if not a.counted)
+        return cls(trials, from_centre, precision, means, recorded, fixed, uncounted)
 
     @classmethod
     def of(cls, problem: Problem, fit: Fit) -> LinearisedFit:
@@ -254,8 +254,9 @@ class LinearisedFit:
 
     @cached_property
     def rank(self) -> int:
-        """Directions among the scaled values that the data see, all other parameters projected out."""
-        inside = np.setdiff1d(np.arange(2, self.p), self.held)
+        """Directions among the counted scaled values that the data see, all other parameters projected
+        out."""
+        inside = np.setdiff1d(np.arange(2, self.p), self.uncounted)
         if not inside.size:
             return 0
         outside = np.setdiff1d(np.arange(self.precision.size), inside)

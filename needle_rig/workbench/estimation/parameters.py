@@ -44,6 +44,11 @@ class FreeParameter:
         return self.info.places is not None
 
     @property
+    def counted(self) -> bool:
+        """Whether its freedom is paid for by number: a fit moves it, and no prior states its size."""
+        return not self.held and self.info.prior is None
+
+    @property
     def name(self) -> str:
         """The parameter's name within its effect."""
         return self.field if self.item is None else f"{self.field}[{self.item}]"

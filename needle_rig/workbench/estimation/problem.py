@@ -85,6 +85,10 @@ class Problem:
         """Other trials; nuisance directions are dropped."""
         return dataclasses.replace(self, trials=tuple(trials), whiteners=(), nuisance=())
 
+    def with_effects(self, *effects: type[Effect]) -> Problem:
+        """The same, with further effects in its library."""
+        return dataclasses.replace(self, library={**self.library, **{e.name(): e for e in effects}})
+
     def with_means(self, means: Sequence[Array]) -> Problem:
         """Other bin means (C, K) where there are data, under the noise of these."""
         trials = (
@@ -271,7 +275,8 @@ class Fit:
     jacobians: tuple[Array, ...]
     """Derivatives of the whitened model (n, p + 1) a trial; the last column is the trial's random effect."""
     rank: int
-    """Directions of the effects' parameters that the data see with all other parameters projected out."""
+    """Directions of the effects' parameters that the data see with all other parameters projected out; of
+    those whose size no prior states. The others are paid for by `ln det` of what is learnt of them."""
     converged: bool
 
     @property

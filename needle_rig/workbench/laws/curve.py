@@ -15,7 +15,6 @@ from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.halves import where_seen
 from needle_rig.workbench.laws.law import UNIT
 from needle_rig.workbench.laws.law_search import FoundLaw, misses_more
-from needle_rig.workbench.laws.made import Shared
 from needle_rig.workbench.laws.screening import dispersion, seen
 from needle_rig.workbench.laws.spline_effect import SplineLaw
 
@@ -86,7 +85,7 @@ def _from_halves(given: Problem, found_law: FoundLaw) -> list[Array]:
     """The spline's coefficients from every other trial of each command, and from the others."""
     spline = found_law.spline
     assert isinstance(spline.made, SplineLaw)
-    problem = Shared(given, found_law.beside).with_made(spline.made)
+    problem = given.with_effects(spline.made.effect())
     count, found = spline.made.spline.count, []
     for half in (0, 1):
         trials = [t for t in range(len(problem.trials)) if t % 2 == half]

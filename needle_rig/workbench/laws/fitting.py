@@ -21,7 +21,7 @@ from needle_rig.workbench.estimation.map_fit import OBJECTIVE_TOLERANCE, ROUGH, 
 from needle_rig.workbench.estimation.posterior import Objective, excess, start_vector, sum_of_squares
 from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.laws.law import UNIT, Law
-from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
+from needle_rig.workbench.laws.made import FormulaLaw, Made
 from needle_rig.workbench.laws.screening import (
     FIRST_ROUGHNESS,
     Screened,
@@ -32,7 +32,7 @@ from needle_rig.workbench.laws.screening import (
 )
 from needle_rig.workbench.laws.spline import Quadratic, covariance_about, smoothed
 from needle_rig.workbench.laws.spline_effect import SplineLaw
-from needle_rig.workbench.selection.candidates import penalty
+from needle_rig.workbench.selection.candidates import penalty, score
 
 SHARES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Shares of a linearised curve at which a fit may start: of dry friction it says too much."""
@@ -52,31 +52,16 @@ NOT_HELD_OUT = CrossValidation(float("inf"), float("inf"), ())
 
 
 @dataclass(frozen=True)
-class Parent:
-    """What laws are added to: a fit with its held-out error, and its score on the scale of laws."""
-
-    fit: Fit
-    validation: CrossValidation
-    score: float
-    made: tuple[Made, ...] = ()
-    """The laws in it."""
-
-    @property
-    def price(self) -> float:
-        """Of what it has beside friction and rigidity."""
-        return self.score - self.fit.objective
-
-
-@dataclass(frozen=True)
 class LawFit:
     """A law fitted with all else."""
 
     made: Made
     fit: Fit
     score: float
-    """−2 log likelihood with the curve integrated out, or the objective with its price; lower is better."""
-    price: float
-    """Of the law alone, in that."""
+    """Of the fit, with the curve integrated out; lower is better."""
+    price: float = 0.0
+    """What the curve's freedom costs in that; of a formula those of its numbers that the data do not see: it
+    states them, too."""
     validation: CrossValidation = NOT_HELD_OUT
     quadratic: Quadratic | None = None
     """Of a spline's coefficients."""
@@ -90,22 +75,17 @@ class LawFit:
         return self.made.law
 
 
-def present_score(problem: Problem, found: Fit) -> float:
-    """Of a fit without further laws, on the scale of `LawFit.score`."""
-    return found.objective + penalty(problem) * found.rank
-
-
-def first_fit(shared: Shared, parent: Parent, screened: Screened) -> LawFit | None:
+def first_fit(given: Problem, parent: Fit, screened: Screened) -> LawFit | None:
     """The law's curve fitted with all else for a few steps."""
-    problem, made = shared.with_made(screened.made), screened.made
+    problem, made = given.with_effects(screened.made.effect()), screened.made
     best: Fit | None = None
-    for starts in _starts(problem, parent.fit, screened):
+    for starts in _starts(problem, parent, screened):
         for start in starts:
             found = fit(
                 problem,
-                (*parent.fit.effects, made.name),
+                (*parent.effects, made.name),
                 start,
-                nuisance=parent.fit.nuisance,
+                nuisance=parent.nuisance,
                 iterations=FIRST_STEPS,
                 tolerance=ROUGH,
             )
@@ -113,16 +93,16 @@ def first_fit(shared: Shared, parent: Parent, screened: Screened) -> LawFit | No
                 break
         if found is not None and (best is None or found.objective < best.objective):
             best = found
-    return None if best is None else _scored(problem, parent, made, best)
+    return None if best is None else _scored(problem, made, best)
 
 
-def further_fit(shared: Shared, parent: Parent, rough: LawFit, whole: bool) -> LawFit | None:
+def further_fit(given: Problem, rough: LawFit, whole: bool) -> LawFit | None:
     """A first fit gone on with, its smoothness estimated again; with `whole` to the end."""
-    problem, found = shared.with_made(rough.made), rough
+    problem, found = given.with_effects(rough.made.effect()), rough
     if not whole:
-        return _gone_on(problem, parent, rough, FIRST_ROUGHNESS, FURTHER_STEPS, ROUGH)
+        return _gone_on(problem, rough, FIRST_ROUGHNESS, FURTHER_STEPS, ROUGH)
     for _ in range(MOST_ESTIMATES):
-        after = _gone_on(problem, parent, found, math.inf, WHOLE_STEPS, OBJECTIVE_TOLERANCE)
+        after = _gone_on(problem, found, math.inf, WHOLE_STEPS, OBJECTIVE_TOLERANCE)
         if after is None:
             break
         gained, found = found.score - after.score, after
@@ -131,9 +111,7 @@ def further_fit(shared: Shared, parent: Parent, rough: LawFit, whole: bool) -> L
     return None if found is rough else found
 
 
-def _gone_on(
-    given: Problem, parent: Parent, rough: LawFit, roughest: float, steps: int, tolerance: float
-) -> LawFit | None:
+def _gone_on(given: Problem, rough: LawFit, roughest: float, steps: int, tolerance: float) -> LawFit | None:
     made, quadratic = rough.made, rough.quadratic
     assert isinstance(made, SplineLaw)
     assert quadratic is not None
@@ -142,7 +120,7 @@ def _gone_on(
     again = dataclasses.replace(made, spline=spline)
     vector = rough.fit.vector
     z = again.scaled_values(made.coefficients(vector.scaled_values[-count:]))
-    problem = Shared(given).with_made(again)
+    problem = given.with_effects(again.effect())
     # the same curves in other units: their derivatives are known
     own = slice(2 + len(rough.fit.parameters) - count, 2 + len(rough.fit.parameters))
     change = made.spline.inverse @ spline.root
@@ -160,10 +138,10 @@ def _gone_on(
         iterations=steps,
         tolerance=tolerance,
     )
-    return None if found is None else _scored(problem, parent, again, found)
+    return None if found is None else _scored(problem, again, found)
 
 
-def _scored(problem: Problem, parent: Parent, made: SplineLaw, found: Fit) -> LawFit:
+def _scored(problem: Problem, made: SplineLaw, found: Fit) -> LawFit:
     count = made.spline.count
     inner = profiled(LinearisedFit.of(problem, _without_false_information(made, found)), count)
     whole = np.eye(count) + inner.G
@@ -176,7 +154,7 @@ def _scored(problem: Problem, parent: Parent, made: SplineLaw, found: Fit) -> La
     return LawFit(
         made,
         found,
-        found.objective + occam + parent.price,
+        score(problem, found) + occam,
         occam,
         quadratic=quadratic,
         coefficients=coefficients,
@@ -199,7 +177,7 @@ def _without_false_information(made: SplineLaw, found: Fit) -> Fit:
     return dataclasses.replace(found, jacobians=tuple(jacobians))
 
 
-def from_formula(shared: Shared, parent: Parent, spline: LawFit, formula: LawFit) -> LawFit | None:
+def from_formula(given: Problem, spline: LawFit, formula: LawFit) -> LawFit | None:
     """A law's spline fitted to the end from where its formula is."""
     made, stated = spline.made, formula.made
     assert isinstance(made, SplineLaw)
@@ -210,15 +188,15 @@ def from_formula(shared: Shared, parent: Parent, spline: LawFit, formula: LawFit
     coefficients = np.asarray(
         np.linalg.pinv(family.basis(at)) @ made.unlinked(stated.formula_at(formula.fit).at(at))
     )
-    size = max(float(np.abs(coefficients).max()), LEAST_SHARE * typical(shared.problem, made.law))
+    size = max(float(np.abs(coefficients).max()), LEAST_SHARE * typical(given, made.law))
     again = dataclasses.replace(
         made, spline=dataclasses.replace(family, amplitude=size, roughness=FIRST_ROUGHNESS)
     )
-    problem = shared.with_made(again)
+    problem = given.with_effects(again.effect())
     z = np.r_[vector.scaled_values[others], again.scaled_values(coefficients)]
     found = fit(
         problem,
-        (*parent.fit.effects, again.name),
+        spline.fit.effects,
         dataclasses.replace(vector, scaled_values=z),
         nuisance=formula.fit.nuisance,
         iterations=FURTHER_STEPS,
@@ -226,8 +204,8 @@ def from_formula(shared: Shared, parent: Parent, spline: LawFit, formula: LawFit
     )
     if found is None:
         return None
-    rough = _scored(problem, parent, again, found)
-    return further_fit(shared, parent, rough, True) or rough
+    rough = _scored(problem, again, found)
+    return further_fit(given, rough, True) or rough
 
 
 def _starts(problem: Problem, parent: Fit, screened: Screened) -> list[list[ParameterVector]]:
@@ -280,31 +258,32 @@ def _in_one_section(problem: Problem, made: SplineLaw) -> list[list[Array]]:
 
 
 def fit_formula(
-    shared: Shared, parent: Parent, starts: tuple[ParameterVector, ...], made: FormulaLaw
+    given: Problem, parent: Fit, starts: tuple[ParameterVector, ...], made: FormulaLaw
 ) -> LawFit | None:
     """A formula fitted in the place of a spline, from vectors of all but its own parameters, until one
     reaches the noise."""
-    problem = shared.with_made(made)
-    names = (*parent.fit.effects, made.name)
+    problem = given.with_effects(made.effect())
+    names = (*parent.effects, made.name)
     own = problem.parameters([made.name])
     at = np.array([a.scaled_value(a.info.typical) for a in own])
     best: Fit | None = None
     for start in starts:
         vector = dataclasses.replace(start, scaled_values=np.r_[start.scaled_values, at])
-        found = fit(problem, names, vector, nuisance=parent.fit.nuisance)
+        found = fit(problem, names, vector, nuisance=parent.nuisance)
         if found is not None and (best is None or found.objective < best.objective):
             best = found
         if best is not None and excess(problem, best.objective) == 0.0:
             break
     if best is None:
         return None
-    price = penalty(problem) * len(own)
-    return LawFit(made, best, best.objective + parent.price + price, price)
+    unseen = max(0, len(own) - (best.rank - parent.rank))
+    price = penalty(problem) * unseen
+    return LawFit(made, best, score(problem, best) + price, price)
 
 
-def held_out(shared: Shared, found: LawFit) -> LawFit:
+def held_out(given: Problem, found: LawFit) -> LawFit:
     """The law with commands left out."""
-    problem = shared.with_made(found.made)
+    problem = given.with_effects(found.made.effect())
     return dataclasses.replace(found, validation=cross_validate(problem, found.fit))
 
 

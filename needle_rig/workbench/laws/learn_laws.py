@@ -13,29 +13,23 @@ from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
 from needle_rig.workbench.estimation.parameters import FreeParameter
-from needle_rig.workbench.estimation.problem import Fit
+from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.laws.curve import fitted_curve
 from needle_rig.workbench.laws.draft import Origin, Table, formula_text
-from needle_rig.workbench.laws.fitting import Parent, present_score
+from needle_rig.workbench.laws.fitting import NOT_HELD_OUT
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.laws.law_search import (
-    FoundLaw,
-    LawSearch,
-    Say,
-    asked_of,
-    kept,
-    tied,
-)
+from needle_rig.workbench.laws.law_search import FoundLaw, LawCandidates, tied, without_law
 from needle_rig.workbench.laws.learnt import Learnt, LearntLaw, Verdict
-from needle_rig.workbench.laws.made import FormulaLaw, Made, Shared
+from needle_rig.workbench.laws.made import FormulaLaw
 from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
-from needle_rig.workbench.selection.candidates import Candidate, fitted, score, screened
+from needle_rig.workbench.selection.answer import Say
 from needle_rig.workbench.selection.design import best_experiment
 from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
-from needle_rig.workbench.selection.search import SearchTrace, promise_asked
+from needle_rig.workbench.selection.evidence import asked_of
+from needle_rig.workbench.selection.search import EffectSet, SearchTrace, back, expand
 
 
 def learn_laws(
@@ -53,14 +47,14 @@ def learn_laws(
     """
     with work or Work() as at:
         diagnosis = diagnose(dataset, library, model, max_effects=1, quick=True, work=at, say=say)
-        with LawSearch(diagnosis.search.problem, at, origin, say) as search:
-            learning = _Learning(diagnosis, search, dataset.sensor_names, origin)
+        with LawCandidates(at, origin) as laws:
+            learning = _Learning(diagnosis, laws, at, say, dataset.sensor_names)
             learnt = learning.answer()
         if learnt.verdict != "cannot_tell":
             return learnt
         say("no law was found: holding several effects of the library at once against it")
         whole = diagnose(dataset, library, model, work=at, say=say)
-        return learning.answered_by(whole) or learnt
+        return learning.answered_by(whole, learnt.tried) or learnt
 
 
 def goes_on(steps: int, reached: bool) -> bool:
@@ -90,180 +84,140 @@ class Term:
     held_out_before: float
     """Error on commands left out of what it was first added to, in units of the noise."""
 
-    @property
-    def made(self) -> Made:
-        """What stands for it in the fit."""
-        return self.found.best.made
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Effects of the library and laws in one model, fitted together."""
-
-    fitted: Parent
-    terms: tuple[Term, ...] = ()
-
 
 class _Learning:
-    """One competition: laws and effects of the library are added, swapped and dropped."""
+    """The search gone on with laws: these and effects of the library are added, swapped and dropped."""
 
     def __init__(
-        self, diagnosis: Diagnosis, search: LawSearch, sensors: Sequence[str], origin: Origin
+        self, diagnosis: Diagnosis, laws: LawCandidates, work: Work, say: Say, sensors: Sequence[str]
     ) -> None:
-        self.diagnosis, self.search, self.sensors, self.origin = diagnosis, search, sensors, origin
-        self.trace = diagnosis.search
-        self.tried = 0
-
-    def _reached(self, found: Parent) -> bool:
-        return reaches(found.validation.error, len(self.search.problem.groups))
+        self.diagnosis, self.laws, self.work, self.say, self.sensors = diagnosis, laws, work, say, sensors
+        self.terms: dict[str, Term] = {}
 
     def answer(self) -> Learnt:
         """What the model lacks, one after the other; each is looked for anew beside what was found later."""
-        begin = at = Hypothesis(self._present())
+        trace = self.diagnosis.search
+        explained = self.diagnosis.verdict == "effect"
+        begin = at = dataclasses.replace(trace, best=trace.best if explained else trace.start)
+        self.work.share(at.problem)
         steps = 0
-        while goes_on(steps, steps > 0 and self._reached(at.fitted)):
+        while goes_on(steps, steps > 0 and reached(at)):
             more = self._added(at)
-            if more is None or (not more.terms and at is not begin):
+            if more.best == at.best or (not laws_in(more) and at is not begin):
+                at = dataclasses.replace(more, best=at.best)
                 break
-            at = self._dropped(self._swapped(at, more))
-            steps += bool(at.terms)
+            at = back(self._swapped(at.best, more), self.work)
+            steps += bool(laws_in(at))
         return self._told(at)
 
-    def _present(self) -> Parent:
-        """What laws are added to: the present model, or its diagnosis where that leaves nothing."""
-        trace = self.trace
-        explained = self.diagnosis.verdict == "effect"
-        return _parent(trace, trace.best if explained else trace.start)
+    def _added(self, trace: SearchTrace) -> SearchTrace:
+        """With the law that does best on top, or the effect of the library; as it was where neither is worth
+        its name."""
+        self.say("screening laws that the library does not hold")
+        parent = trace.fits[trace.best][0]
+        promised = self.laws.screened(trace.problem, parent, self._taken(trace))
+        trace = dataclasses.replace(trace, laws_tried=max(trace.laws_tried, len(promised)))
+        if not laws_in(trace) and (not promised or promised[0].gain <= asked_of(len(promised))):
+            return trace
+        self.say("fitting the leading laws")
+        found = self.laws.on_top_of(trace.problem, parent, promised)
+        law = trace.best
+        if found:
+            trace, law = self._with_law(trace, found, trace.validation(trace.best).error)
+        self.say("trying the library")
+        trace = expand(trace, self.work, trace.best, trace.score(trace.best) - trace.score(law))
+        rival = best_of_library(trace, trace.best)
+        if law != trace.best and trace.passes(trace.best, law) and (rival is None or trace.beats(rival, law)):
+            return dataclasses.replace(trace, best=law).stepped("forward")
+        return trace if rival is None else dataclasses.replace(trace, best=rival).stepped("forward")
 
-    def _added(self, at: Hypothesis) -> Hypothesis | None:
-        """With the law that does best on top, or the effect of the library; None where neither is worth its
-        name."""
-        search = self.search
-        search.say("screening laws that the library does not hold")
-        promised = search.promises(at.fitted)
-        self.tried = max(self.tried, len(promised))
-        if not at.terms and (not promised or promised[0].gain <= asked_of(len(promised))):
-            return None
-        search.say("fitting the leading laws")
-        found = search.on_top_of(at.fitted, promised)
-        gain = at.fitted.score - found[0].score if found else 0.0
-        rival = self._with_effect(at.fitted, gain)
-        if found and kept(search.problem_of(at.fitted), rival or at.fitted, found[0], len(promised)):
-            return self._with_law(at, found, at.fitted.validation.error)
-        return None if rival is None else dataclasses.replace(at, fitted=rival)
+    def _taken(self, trace: SearchTrace) -> set[Law]:
+        return {self.terms[name].found.law for name in laws_in(trace)}
 
-    def _with_law(self, at: Hypothesis, found: Sequence[FoundLaw], before: float) -> Hypothesis:
-        best = found[0]
-        term = Term(best, tied(best.law, best.score, found[1:]), before)
-        return Hypothesis(best.added, (*at.terms, term))
+    def _with_law(
+        self, trace: SearchTrace, found: Sequence[FoundLaw], before: float
+    ) -> tuple[SearchTrace, EffectSet]:
+        """The search with the first of the laws that were found fitted, and its set of effects."""
+        best = found[0].best
+        self.terms[best.made.name] = Term(found[0], tied(found[0].law, found[0].score, found[1:]), before)
+        problem = trace.problem.with_effects(best.made.effect())
+        self.work.share(problem)
+        trace = dataclasses.replace(trace, problem=problem, laws={**trace.laws, best.made.name: best.price})
+        return trace.keep(best.fit, best.validation), frozenset(best.fit.effects)
 
-    def _with_effect(self, at: Parent, gain: float) -> Parent | None:
-        """The best fit of one more effect of the library, of those that may come near a `gain`; None where
-        none does better on commands left out, too."""
-        search, trace = self.search, self.trace
-        search.say("trying the library")
-        problem = search.problem_of(at)
-        names = [n for n in trace.names if n not in at.fit.effects]
-        ahead: list[Candidate] = search.run(at, _screened, [(at.fit, name) for name in names])
-        asked = promise_asked(max([gain, *(each.screening.gain for each in ahead)]))
-        near = [each for each in ahead if each.screening.gain >= asked]
-        tried: list[Candidate] = search.run(at, _fitted, [(at.fit, each) for each in near])
-        known = at.score - score(problem, at.fit)
-        best = min(
-            (
-                Parent(each.fit, each.validation, score(problem, each.fit) + known, at.made)
-                for each in tried
-                if each.fit and each.validation
-            ),
-            key=lambda found: found.score,
-            default=at,
-        )
-        worth = at.score - best.score > POLICY.ties.close
-        return best if worth and best.validation.loss < at.validation.loss else None
-
-    def _swapped(self, before: Hypothesis, at: Hypothesis) -> Hypothesis:
+    def _swapped(self, before: EffectSet, trace: SearchTrace) -> SearchTrace:
         """With each law looked for anew beside what was found after it, and the library in its place.
 
         Its place and its formula were chosen when that was still missing.
         """
-        search, changed = self.search, False
-        for old in at.terms:
-            rest = search.without_law(at.fitted, old.made, old.found.best.price)
-            if rest is None:
+        changed = False
+        for name in laws_in(trace):
+            parent = without_law(trace.problem, trace.fits[trace.best][0], name)
+            if parent is None:
                 continue
-            library = self._library_in_place(rest, at.fitted)
+            rest = trace.best - {name}
+            known = rest in trace.fits
+            scratch = trace if known else trace.keep(parent, NOT_HELD_OUT)
+            library = self._library_in_place(scratch, rest)
             if library is not None:
-                at, changed = Hypothesis(library, tuple(each for each in at.terms if each is not old)), True
-            elif old in before.terms or changed:
-                search.say("looking again for a law beside what was found after it")
-                was = at.fitted
-                at = self._looked_for_again(at, old, search.on_top_of(rest, search.promises(rest)))
-                changed |= at.fitted is not was
-        return at
+                kept = {k: v for k, v in library.fits.items() if known or k != rest}
+                trace, changed = dataclasses.replace(library, fits=kept), True
+            elif name in before or changed:
+                self.say("looking again for a law beside what was found after it")
+                was = trace.best
+                trace = self._looked_for_again(trace, name, parent)
+                changed |= trace.best != was
+        return trace
 
-    def _looked_for_again(self, at: Hypothesis, old: Term, found: Sequence[FoundLaw]) -> Hypothesis:
-        """With the best law in the place of `old`; where that stays, its spline and ties are those found
-        now."""
-        if found and found[0].score < at.fitted.score:
-            best = found[0]
-            new = Term(best, tied(best.law, best.score, found[1:]), old.held_out_before)
-            fitted = best.added
-        else:
-            law, kept_law = old.found.law, old.found
-            same = [each for each in found if each.law == law]
-            if same and kept_law.formula is not None:
-                beside = tuple(dict.fromkeys((*kept_law.beside, *same[0].beside)))
-                kept_law = dataclasses.replace(kept_law, spline=same[0].spline, beside=beside)
-            others = [each for each in found if each.law != law]
-            new = Term(kept_law, tied(law, at.fitted.score, others), old.held_out_before)
-            fitted = at.fitted
-        return Hypothesis(fitted, tuple(new if each is old else each for each in at.terms))
+    def _looked_for_again(self, trace: SearchTrace, name: str, parent: Fit) -> SearchTrace:
+        """With the best law in the place of the one of this name; where that stays, its spline and ties are
+        those found now."""
+        old, at = self.terms[name], trace.score(trace.best)
+        taken = self._taken(trace) - {old.found.law}
+        promised = self.laws.screened(trace.problem, parent, taken)
+        found = self.laws.on_top_of(trace.problem, parent, promised)
+        if found:
+            more, key = self._with_law(trace, found, old.held_out_before)
+            if more.score(key) < at:
+                return dataclasses.replace(more, best=key).stepped("swapped")
+        stays, law = old.found, old.found.law
+        same = [each for each in found if each.law == law]
+        if same and stays.formula is not None:
+            stays = dataclasses.replace(stays, spline=same[0].spline)
+        others = [each for each in found if each.law != law]
+        alone = at - sum(trace.laws[each] for each in laws_in(trace) if each != name)
+        self.terms[name] = Term(stays, tied(law, alone, others), old.held_out_before)
+        return trace
 
-    def _library_in_place(self, rest: Parent, at: Parent) -> Parent | None:
-        """A fit with effects of the library in the place of a law that they do as well as; None: they do
+    def _library_in_place(self, trace: SearchTrace, rest: EffectSet) -> SearchTrace | None:
+        """The search with effects of the library in the place of a law that they do as well as; None: they do
         not."""
-        found = rest
+        at, key = trace.score(trace.best), rest
         for _ in range(POLICY.verdict.at_any_value):
-            more = self._with_effect(found, found.score - at.score)
+            self.say("trying the library")
+            trace = expand(trace, self.work, key, trace.score(key) - at)
+            more = best_of_library(trace, key)
             if more is None:
                 return None
-            if more.score < at.score + asked_of(self.tried):
-                return more
-            found = more
+            key = more
+            if trace.score(key) < at + asked_of(trace.laws_tried):
+                return dataclasses.replace(trace, best=key).stepped("swapped")
         return None
 
-    def _dropped(self, at: Hypothesis) -> Hypothesis:
-        """Without effects of the library to which the laws have left nothing.
-
-        They were named when a law was still missing that they resemble.
-        """
-        laws = {each.made.name for each in at.terms}
-        for name in at.fitted.fit.effects:
-            if not laws or name in laws or name in self.trace.start:
-                continue
-            self.search.say(f"looking whether {name} is needed beside the law")
-            rest = self.search.without_effect(at.fitted, name)
-            if rest is None or rest.score > at.fitted.score + POLICY.ties.close:
-                continue
-            if self._reached(rest) or not self._reached(at.fitted):
-                at = dataclasses.replace(at, fitted=rest)
-        return at
-
-    def _told(self, at: Hypothesis) -> Learnt:
-        current = at.fitted
-        if not at.terms:
-            return self._without_law(self.diagnosis.held_out_error_before)
-        ties_most = max(len(term.ties) for term in at.terms)
-        reached = self._reached(current)
-        verdict = verdict_of(reached, ties_most)
-        *earlier, last = (self._law(current, term) for term in at.terms)
+    def _told(self, trace: SearchTrace) -> Learnt:
+        names = laws_in(trace)
+        if not names:
+            return self._without_law(trace)
+        current, error = trace.fits[trace.best][0], trace.validation(trace.best).error
+        ties_most = max(len(self.terms[name].ties) for name in names)
+        verdict = verdict_of(reached(trace), ties_most)
+        *earlier, last = (self._law(trace.problem, current, self.terms[name]) for name in names)
         # what was found or looked for anew after it has lowered the error, too
-        laws = (*earlier, dataclasses.replace(last, held_out_after=current.validation.error))
+        laws = (*earlier, dataclasses.replace(last, held_out_after=error))
         words = " and ".join(law.law.words() for law in laws)
         if verdict == "law":
             sentence = words[0].upper() + words[1:] + "."
-        elif not reached:
-            error = current.validation.error
+        elif not reached(trace):
             left = f"leaves {error:.2f} × the noise on" if math.isfinite(error) else "cannot be solved with"
             sentence = (
                 f"A law is missing, and these data do not say which: the nearest ({words}) {left} commands"
@@ -274,37 +228,40 @@ class _Learning:
                 "A law is missing, and these data do not say which:"
                 f" {ties_most + 1} of those that were tried do alike; the nearest: {words}."
             )
-        made = {term.made.name for term in at.terms}
-        library = tuple(e for e in current.fit.effects if e not in made and e not in self.trace.start)
-        return self._answer(verdict, laws, library, current.validation.error, sentence)
+        library = tuple(e for e in current.effects if e not in names and e not in trace.start)
+        return self._answer(trace, verdict, laws, library, error, sentence)
 
-    def _without_law(self, before: float) -> Learnt:
+    def _without_law(self, trace: SearchTrace) -> Learnt:
         sentence = (
             "Something is missing that is neither an effect of the library nor one of the"
-            f" {self.tried} laws that were tried."
+            f" {trace.laws_tried} laws that were tried."
         )
-        return self.answered_by(self.diagnosis) or self._answer("cannot_tell", (), (), before, sentence)
+        before = self.diagnosis.held_out_error_before
+        told = self.answered_by(self.diagnosis, trace.laws_tried)
+        return told or self._answer(trace, "cannot_tell", (), (), before, sentence)
 
-    def answered_by(self, diagnosis: Diagnosis) -> Learnt | None:
-        """The answer without a law that a diagnosis gives: nothing is missing, or the library holds it."""
+    def answered_by(self, diagnosis: Diagnosis, tried: int) -> Learnt | None:
+        """The answer without a law that a diagnosis gives after so many were tried: nothing is missing, or
+        the library holds it."""
         if diagnosis.verdict == "unknown":
             return None
         if diagnosis.verdict == "none":
             small = ", ".join(sorted(diagnosis.search.negligible))
             seen = f" ({small} of the library: too small to matter)" if small else ""
-            sentence = f"Nothing is missing that these data show{seen}; {self.tried} laws were tried."
+            sentence = f"Nothing is missing that these data show{seen}; {tried} laws were tried."
         else:
             named = " with ".join(diagnosis.effects)
-            sentence = f"The library holds it: {named}; {self.tried} laws were tried beside it."
+            sentence = f"The library holds it: {named}; {tried} laws were tried beside it."
         # both errors in the noise of this diagnosis, which may have been measured anew
         before, after = diagnosis.held_out_error_before, diagnosis.held_out_error_after
         verdict: Verdict = "none" if diagnosis.verdict == "none" else "library"
         return Learnt(
-            verdict, (), diagnosis.effects, before, after, sentence, self.tried, diagnosis, self.origin
+            verdict, (), diagnosis.effects, before, after, sentence, tried, diagnosis, self.laws.origin
         )
 
     def _answer(
         self,
+        trace: SearchTrace,
         verdict: Verdict,
         laws: tuple[LearntLaw, ...],
         library: tuple[str, ...],
@@ -312,13 +269,13 @@ class _Learning:
         sentence: str,
     ) -> Learnt:
         before = self.diagnosis.held_out_error_before
-        diagnosis, origin = self.diagnosis, self.origin
-        return Learnt(verdict, laws, library, before, after, sentence, self.tried, diagnosis, origin)
+        diagnosis, origin = self.diagnosis, self.laws.origin
+        return Learnt(verdict, laws, library, before, after, sentence, trace.laws_tried, diagnosis, origin)
 
-    def _law(self, current: Parent, term: Term) -> LearntLaw:
+    def _law(self, problem: Problem, current: Fit, term: Term) -> LearntLaw:
         found, ties = term.found, term.ties
-        formula, parameters = _fitted_formula(current.fit, found)
-        curve = fitted_curve(self.search.problem, current.fit, found, formula)
+        formula, parameters = _fitted_formula(current, found)
+        curve = fitted_curve(problem, current, found, formula)
         told = formula or Table(curve.at, curve.value)
         text = (
             None
@@ -334,31 +291,36 @@ class _Learning:
             parameters,
             curve,
             told,
-            self._experiment(found, ties),
+            self._experiment(problem, found, ties),
         )
 
-    def _experiment(self, found: FoundLaw, ties: Sequence[FoundLaw]) -> NextTrial | None:
+    def _experiment(self, problem: Problem, found: FoundLaw, ties: Sequence[FoundLaw]) -> NextTrial | None:
         """The trial that would tell the law from the first that ties with it."""
         if not ties:
             return None
-        self.search.say("looking for the experiment that would tell")
+        self.say("looking for the experiment that would tell")
         other = ties[0]
-        problem = Shared(self.search.problem, found.beside).with_made(found.best.made, other.best.made)
+        problem = problem.with_effects(found.best.made.effect(), other.best.made.effect())
         first, second = found.best.fit, other.best.fit
         return best_experiment(problem, first, second, found.law.name, other.law.name, self.sensors)
 
 
-def _screened(shared: Shared, parent: Fit, effect: str) -> Candidate:
-    return screened(shared.with_made(), parent, effect)
+def laws_in(trace: SearchTrace) -> list[str]:
+    """The laws of the best set, in the order in which they were added."""
+    return [effect for effect in trace.fits[trace.best][0].effects if effect in trace.laws]
 
 
-def _fitted(shared: Shared, parent: Fit, candidate: Candidate) -> Candidate:
-    return fitted(shared.with_made(), parent, candidate)
+def best_of_library(trace: SearchTrace, key: EffectSet) -> EffectSet | None:
+    """The best of the sets with one effect of the library more that pass; None where none does."""
+    more = [key | {each.effect} for each in trace.children[key]]
+    return min(
+        (k for k in more if k in trace.fits and trace.passes(key, k)), key=trace.by_score, default=None
+    )
 
 
-def _parent(trace: SearchTrace, key: frozenset[str]) -> Parent:
-    found, validation = trace.fits[key]
-    return Parent(found, validation or trace.root_validation, present_score(trace.problem, found))
+def reached(trace: SearchTrace) -> bool:
+    """Whether the best set predicts commands left out to within the noise."""
+    return reaches(trace.validation(trace.best).error, len(trace.problem.groups))
 
 
 def _fitted_formula(

@@ -1,4 +1,4 @@
-"""Effects that a search makes, and what all of its tasks need."""
+"""Effects that a search makes: a law with a spline, or with a formula."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.library import load_effect
-from needle_rig.workbench.estimation.problem import Fit, Problem
+from needle_rig.workbench.estimation.problem import Fit
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.spline_effect import SplineLaw
@@ -43,16 +43,3 @@ class FormulaLaw:
 
 
 Made = SplineLaw | FormulaLaw
-
-
-@dataclass(frozen=True)
-class Shared:
-    """What all tasks of a search need; effects that were made are made again where a task runs."""
-
-    problem: Problem
-    made: tuple[Made, ...] = ()
-
-    def with_made(self, *further: Made) -> Problem:
-        """The problem, its library with all effects that were made."""
-        effects = {each.name: each.effect() for each in (*self.made, *further)}
-        return dataclasses.replace(self.problem, library={**self.problem.library, **effects})

@@ -19,7 +19,6 @@ from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.posterior import STEP, Objective
 from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.laws.law import UNIT, Law, every_law
-from needle_rig.workbench.laws.made import Shared
 from needle_rig.workbench.laws.spline import Quadratic, Spline, smoothed
 from needle_rig.workbench.laws.spline_effect import SplineLaw, of_place, of_trial
 
@@ -152,9 +151,9 @@ def _finite(values: Array) -> Array:
     return np.asarray(values[np.isfinite(values)])
 
 
-def screen(shared: Shared, parent: Fit, made: SplineLaw) -> Screened | None:
+def screen(given: Problem, parent: Fit, made: SplineLaw) -> Screened | None:
     """What the law promises: the residuals projected on the coefficients' derivatives, where it begins."""
-    problem = shared.with_made(made)
+    problem = given.with_effects(made.effect())
     names = (*parent.effects, made.name)
     parameters = problem.parameters(names)
     begin = made.scaled_values(beginning(problem, made))

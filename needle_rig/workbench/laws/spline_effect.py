@@ -6,6 +6,7 @@ compiled law per variable reads: other knots or coefficients compile nothing.
 
 from __future__ import annotations
 
+import copyreg
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -113,6 +114,19 @@ def of_place(variable: str, trial: Trial) -> float:
     return {"clock": trial.start_s, "trial": float(trial.index), "travel": trial.travel_before_rad}[variable]
 
 
+class _Remade(type):
+    """Kind of the classes that are in no module: another process makes them from their law."""
+
+    made: SplineLaw
+
+
+def _remade(effect: _Remade) -> tuple[Any, ...]:
+    return _effect, (effect.made,)
+
+
+copyreg.pickle(_Remade, _remade)
+
+
 @lru_cache(maxsize=512)
 def _effect(made: SplineLaw) -> type[Effect]:
     hooks: dict[str, Callable[..., Any]] = {
@@ -132,17 +146,18 @@ def _effect(made: SplineLaw) -> type[Effect]:
         )
         for k in range(made.spline.count)
     ]
-    return dataclasses.make_dataclass(
-        "SplineEffect",
-        fields,
-        bases=(Effect,),
-        frozen=True,
-        namespace={
-            hook: hooks[made.law.hook](made),
-            "__module__": f"laws.{made.name}",
-            "__doc__": f"A curve: {made.law.words()}.",
-        },
-    )
+    namespace = {
+        hook: hooks[made.law.hook](made),
+        "made": made,
+        "name": classmethod(lambda _: made.name),
+        "__module__": __name__,
+        "__doc__": f"A curve: {made.law.words()}.",
+        "__annotations__": {name: float for name, _, _ in fields},
+        **{name: default for name, _, default in fields},
+    }
+    made_class: Any = _Remade("SplineEffect", (Effect,), namespace)
+    effect: type[Effect] = dataclasses.dataclass(frozen=True)(made_class)
+    return effect
 
 
 def _curve(made: SplineLaw) -> Callable[[Effect, Array], Array]:

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
 
+from needle_rig.numerics import Array
+from needle_rig.units import deg, nmm
 from needle_rig.workbench.estimation.cross_validation import CrossValidation
 from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.posterior import STEP
@@ -91,6 +93,44 @@ def predictive_gain(parent: CrossValidation | None, child: CrossValidation | Non
 def improves_cross_validation(parent: CrossValidation | None, child: CrossValidation | None) -> bool:
     """Whether the child's predictive density is higher in cross-validation."""
     return predictive_gain(parent, child) > 0.0
+
+
+def asked_of(tried: int) -> float:
+    """The gain in score that a law must have, the best of so many: what tells two explanations apart, and the
+    price of having looked in so many places."""
+    return POLICY.ties.close + 2.0 * math.log(max(tried, 1))
+
+
+def predicts(values: int, parent: CrossValidation, child: CrossValidation) -> bool:
+    """Whether χ² of so many values, predicted from the other commands, falls by what tells laws apart.
+
+    What one command alone shows does not: there the predictive density rises by no more than a law's own
+    uncertainty, which covers whatever that command has.
+    """
+    return bool(values * (parent.error**2 - child.error**2) > POLICY.ties.close)
+
+
+def matters(problem: Problem, parent: Fit, child: Fit) -> bool:
+    """Whether some reading changes by as much as counts, at once or as a root mean square over a trial."""
+    before, after = (problem.predict(found.parameters, found.vector) for found in (parent, child))
+    changes = [a - b for a, b in zip(after, before, strict=True)]
+    return changes_matter(changes, problem.base.torque_scale)
+
+
+def changes_matter(changes: Sequence[Array], torque_scale: float) -> bool:
+    """Whether changes (readings, n) a trial, of the torque in N·m and angles in rad, count."""
+    largest = np.max([np.nan_to_num(np.abs(change)).max(axis=1) for change in changes], axis=0)
+    squares = [
+        np.nansum(change**2, axis=1) / np.maximum(1, np.isfinite(change).sum(axis=1)) for change in changes
+    ]
+    rms = np.sqrt(np.max(squares, axis=0))
+    size = POLICY.size
+    return bool(
+        nmm(float(largest[0])) > torque_scale * size.largest_nmm
+        or deg(float(largest[1:].max())) > size.largest_deg
+        or not size.small(nmm(float(rms[0])), "N·mm", torque_scale)
+        or not size.small(deg(float(rms[1:].max())), "°")
+    )
 
 
 def is_negligible(found: Fit, effect: str) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -31,9 +31,12 @@ from needle_rig.workbench.selection.candidates import (
 )
 from needle_rig.workbench.selection.evidence import (
     adjusted_p,
+    asked_of,
     has_size,
     improves_cross_validation,
     is_negligible,
+    matters,
+    predicts,
     size_of,
     within_discretisation_error,
 )
@@ -81,6 +84,11 @@ class SearchTrace:
     negligible: Mapping[str, Fit]
     """Effects that are significant but negligible, with the fit that showed each: they are nuisances."""
     steps: tuple[Step, ...] = ()
+    laws: Mapping[str, float] = field(default_factory=dict)
+    """Laws that no library holds, by the name of each one's effect: what it costs beyond the parameters
+    that the data see."""
+    laws_tried: int = 0
+    """The most that were looked through at once."""
 
     @classmethod
     def begin(
@@ -97,7 +105,11 @@ class SearchTrace:
 
     def score(self, key: EffectSet) -> float:
         """Score of a set that was fitted."""
-        return score(self.problem, self.fits[key][0])
+        return score(self.problem, self.fits[key][0]) + sum(self.laws.get(effect, 0.0) for effect in key)
+
+    def validation(self, key: EffectSet) -> CrossValidation:
+        """Cross-validation of a set that was fitted."""
+        return self.fits[key][1] or self.root_validation
 
     def by_score(self, key: EffectSet) -> tuple[float, list[str]]:
         """Sorting key of a set: score, then names; best first."""
@@ -105,6 +117,8 @@ class SearchTrace:
 
     def passes(self, parent: EffectSet, child: EffectSet) -> bool:
         """Whether the child's extra effects are significant and improve cross-validation."""
+        if (child - parent) & self.laws.keys():
+            return self._passes_as_law(parent, child)
         (old, old_validation), (new, new_validation) = self.fits[parent], self.fits[child]
         if adjusted_p(
             old, new, len(self.names)
@@ -113,6 +127,30 @@ class SearchTrace:
         if old_validation is not None and not np.isfinite(old_validation.error):
             return True  # a single command: nothing can be left out, and the report says so
         return improves_cross_validation(old_validation, new_validation)
+
+    def beats(self, other: EffectSet, law: EffectSet) -> bool:
+        """Whether a set with a law does better than another by what is asked, also at commands left out.
+
+        A law whose model cannot be solved there, as that of a needle that snaps while its damping is still
+        missing, is judged with what is found beside it: alone it does not reach the noise.
+        """
+        if self.score(law) > self.score(other) - asked_of(self.laws_tried):
+            return False
+        old, new = self.validation(other), self.validation(law)
+        return not (np.isfinite(old.error) and np.isfinite(new.error)) or improves_cross_validation(old, new)
+
+    def _passes_as_law(self, parent: EffectSet, child: EffectSet) -> bool:
+        """Whether the child's extra law is there: it beats the parent, is large enough to matter, and cannot
+        be our own error."""
+        old, new = self.validation(parent), self.validation(child)
+        solved = np.isfinite(old.error) and np.isfinite(new.error)
+        fits = self.fits[parent][0], self.fits[child][0]
+        return (
+            self.beats(parent, child)
+            and (not solved or predicts(self.problem.size, old, new))
+            and not within_discretisation_error(self.problem, *fits)
+            and matters(self.problem, *fits)
+        )
 
     def named(self, key: EffectSet) -> list[str]:
         """Effects of a set that are large enough to matter and were not in the current model."""
@@ -168,7 +206,7 @@ def search(
     if begin is not None:
         trace = dataclasses.replace(trace, best=frozenset(begin.effects))
     while True:
-        trace = _back(_added(trace, work, max_effects), work)
+        trace = back(_added(trace, work, max_effects), work)
         trace, swapped = _swapped(trace, work)
         if swapped == trace.best or any(step.best == swapped for step in trace.steps):
             break
@@ -366,7 +404,7 @@ def _swapped(trace: SearchTrace, work: Work) -> tuple[SearchTrace, EffectSet]:
     return trace, min(keys, key=trace.by_score)
 
 
-def _back(trace: SearchTrace, work: Work) -> SearchTrace:
+def back(trace: SearchTrace, work: Work) -> SearchTrace:
     """The search with effects dropped whose removal still passes (backward elimination)."""
     while trace.best > trace.start:
         found = trace.fits[trace.best][0]

@@ -170,6 +170,8 @@ def test_the_rank_counts_directions_that_the_data_see_beside_the_means_that_are_
     assert toy().rank == 4
     assert toy(constrained=(ITEMS,)).rank == 3
     assert toy(blind=True).rank == 3
+    # a curve's coefficients have a prior, which pays for them
+    assert dataclasses.replace(toy(), uncounted=(3,)).rank == 3
 
 
 def test_a_prediction_is_as_uncertain_as_draws_of_the_parameters_make_it() -> None:

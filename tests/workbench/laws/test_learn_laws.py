@@ -15,13 +15,13 @@ from needle_rig.model import load_model, save_model
 from needle_rig.physics.effect import Effect, Reading, Trial, parameter
 from needle_rig.physics.library import find_effects, load_effect
 from needle_rig.physics.rod import Rod
+from needle_rig.workbench.answers import digest_of
 from needle_rig.workbench.estimation.baseline import fit_baseline
 from needle_rig.workbench.laws import learn_laws as learn
 from needle_rig.workbench.laws.draft import Origin
-from needle_rig.workbench.laws.fitting import Parent, first_fit, present_score
+from needle_rig.workbench.laws.fitting import first_fit
 from needle_rig.workbench.laws.law import Law
 from needle_rig.workbench.laws.learn_laws import learn_laws
-from needle_rig.workbench.laws.made import Shared
 from needle_rig.workbench.laws.screening import candidates, screen
 from needle_rig.workbench.learning.adopt import adopt, undo
 from needle_rig.workbench.learning.observations import Traces
@@ -141,7 +141,7 @@ def test_nothing_hidden_is_no_law() -> None:
 def test_before_no_law_can_be_told_several_effects_of_the_library_are_held_against_the_data(
     monkeypatch: pytest.MonkeyPatch, hidden: Any, verdict: str, library: set[str]
 ) -> None:
-    monkeypatch.setattr(learn._Learning, "_added", lambda *_: None)
+    monkeypatch.setattr(learn._Learning, "_added", lambda _, trace: trace)
     found = learn_laws(dataset(*hidden, seed=3), few("torque_bias", "hall_offset"), origin=ORIGIN)
     assert (found.verdict, set(found.library), found.laws) == (verdict, library, ())
     assert (found.held_out_after < 1.1) is (verdict != "cannot_tell")
@@ -232,11 +232,10 @@ def baseline(data: Any) -> Any:
 
 
 def test_screening_ranks_the_law_that_is_there_first(baseline: Any) -> None:
-    shared = Shared(baseline.problem)
     every = [
         m for m in candidates(baseline.problem, "law") if m.law.hook == "observe" and m.law.place != "halls"
     ]
-    screened = [screen(shared, baseline.current, made) for made in every]
+    screened = [screen(baseline.problem, baseline.current, made) for made in every]
     best = max((s for s in screened if s is not None), key=lambda s: s.gain)
     assert best.made.law == Law("observe", "hall_2", "angle")
 
@@ -259,29 +258,32 @@ class SoftSection(Effect):
 @pytest.mark.whole
 def test_a_law_in_one_section_is_reached_from_a_model_that_is_far_off() -> None:
     baseline = null_fit(SoftSection(300.0), seed=61)
-    problem, shared = baseline.problem, Shared(baseline.problem)
+    problem = baseline.problem
     made = next(m for m in candidates(problem, "law") if m.law == Law("shape", "stiffness", "x"))
-    screened = screen(shared, baseline.current, made)
+    screened = screen(problem, baseline.current, made)
     assert screened is not None
-    parent = Parent(baseline.current, baseline.validation, present_score(problem, baseline.current))
-    assert parent.fit.chi2 > 30.0 * problem.size
-    found = first_fit(shared, parent, screened)
+    assert baseline.current.chi2 > 30.0 * problem.size
+    found = first_fit(problem, baseline.current, screened)
     assert found is not None
     assert found.fit.chi2 < 2.0 * problem.size
 
 
 def test_a_task_gives_the_same_in_another_process(baseline: Any) -> None:
     made = next(m for m in candidates(baseline.problem, "law") if m.law == Law("observe", "hall_2", "angle"))
-    shared = Shared(baseline.problem)
-    sent = pickle.loads(pickle.dumps((shared, baseline.current, made)))
-    here, there = screen(shared, baseline.current, made), screen(*sent)
+    problem = baseline.problem
+    sent = pickle.loads(pickle.dumps((problem, baseline.current, made)))
+    here, there = screen(problem, baseline.current, made), screen(*sent)
     assert here is not None
     assert there is not None
     assert here.gain == pytest.approx(there.gain)
-    score = present_score(baseline.problem, baseline.current)
-    fitted = first_fit(shared, Parent(baseline.current, baseline.validation, score), here)
+    fitted = first_fit(problem, baseline.current, here)
     assert fitted is not None
     assert pickle.loads(pickle.dumps(fitted)).score == fitted.score
+    # a library with a law of the search goes there, too
+    effect = fitted.made.effect()
+    with_law = problem.with_effects(effect)
+    assert pickle.loads(pickle.dumps(with_law)).library[made.name] is effect
+    assert digest_of(with_law) == digest_of(problem.with_effects(effect)) != digest_of(problem)
 
 
 @pytest.mark.whole

@@ -92,7 +92,7 @@ def test_an_effect_is_seen_at_one_percent_over_the_library(p: float, passes: boo
     problem = SimpleNamespace(nuisance=(np.zeros((1, 0)),))
     validation = CrossValidation(1.0, 10.0, ()), CrossValidation(1.0, 0.0, ())
     fits = {frozenset(): (parent, validation[0]), frozenset("a"): (child, validation[1])}
-    trace: Any = SimpleNamespace(fits=fits, names=names, problem=problem)
+    trace: Any = SimpleNamespace(fits=fits, names=names, problem=problem, laws={})
     assert SearchTrace.passes(trace, frozenset(), frozenset("a")) is passes
 
 
@@ -334,6 +334,20 @@ def test_five_patterns_are_told() -> None:
     there = fit_baseline(data, None, few("torque_bias"))
     told = find_residual_patterns(there.problem, there.current, data.sensor_names).patterns
     assert len([p for p in told if p.channel != "the trials' friction"]) == 5
+    # each is as many σ as it lowers χ² beside those before it, which another way of fitting them says, too
+    readings = there.problem.predict(there.current.parameters, there.current.vector)
+    columns, names = residual_patterns._whitened_functions(there.problem, readings, data.sensor_names)
+    project = LinearisedFit.of(there.problem, there.current).projection
+    free = np.column_stack([project(columns), project.rigidity()])
+    beside: list[np.ndarray] = []
+    before = project.missed @ project.missed
+    for pattern in told[:5]:
+        name = (pattern.channel, pattern.law)
+        beside.append(free[:, names.index(name) if name in names else -1])
+        fitted = np.column_stack(beside)
+        left = project.missed - fitted @ np.linalg.lstsq(fitted, project.missed, rcond=None)[0]
+        assert pattern.sigmas**2 == pytest.approx(before - left @ left, rel=1e-6)
+        before = left @ left
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from needle_rig.workbench.selection.candidates import refit
 from needle_rig.workbench.selection.search import (
     EffectSet,
     SearchTrace,
-    _back,
+    back,
     expand,
     search,
     set_aside,
@@ -84,7 +84,7 @@ def test_what_is_needed_is_not_dropped_for_a_fit_that_was_never_cross_validated(
     trace = trace.keep(*refit(trace.problem, ("chuck_backlash", "hall_offset", "tip_friction"), vector))
     work = Work()
     work.share(trace.problem)
-    assert _back(dataclasses.replace(trace, best=three), work).best == HIDDEN
+    assert back(dataclasses.replace(trace, best=three), work).best == HIDDEN
 
 
 SMALL, LARGE = frozenset({"small"}), frozenset({"large"})
