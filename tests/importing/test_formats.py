@@ -418,3 +418,15 @@ def test_a_signal_of_matlab_that_cannot_be_read_is_told(
     faults = {c.name: c.fault for c in read_recording(file).columns if c.fault}
     assert list(faults) == ["hall_4"]
     assert "no numbers that can be read" in faults["hall_4"]
+
+
+def test_a_panic_of_the_library_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    polars = pytest.importorskip("polars")
+    polars.DataFrame({"t": [0.0, 1.0]}).write_parquet(tmp_path / "run.parquet")
+
+    def panics(_: Path) -> None:
+        raise polars.exceptions.PanicException("assertion failed")
+
+    monkeypatch.setattr(polars, "read_parquet", panics)
+    with pytest.raises(BadInput, match="cannot be read as Parquet: assertion failed"):
+        read_recording(tmp_path / "run.parquet")
