@@ -9,17 +9,14 @@ from pathlib import Path
 
 from campaigns import ROOT
 
+DEFINES = {"campaigns": "\nCAMPAIGN = ", "benchmarks": "\ndef main("}
+
 
 def runnable(package: str) -> dict[str, Path]:
-    """Files of `package` that define `main` or CAMPAIGN, by name, but for parts of benchmarks (*_kinds)."""
+    """Files that define CAMPAIGN, or `main` in benchmarks, by name, but for parts of benchmarks (*_kinds)."""
     found = {}
     for path in sorted((ROOT / package).rglob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        if (
-            not path.name.startswith("__")
-            and not path.stem.endswith("_kinds")
-            and ("\ndef main(" in text or "\nCAMPAIGN = " in text)
-        ):
+        if not path.stem.endswith("_kinds") and DEFINES[package] in path.read_text(encoding="utf-8"):
             found[path.stem] = path
     return found
 
@@ -37,9 +34,9 @@ def by_name(package: str, words: list[str]) -> int:
     name, *rest = words
     place = known[name].relative_to(ROOT).with_suffix("")
     module = importlib.import_module(".".join(place.parts))
-    sys.argv = [f"python -m {package} {name}", *rest]
-    if hasattr(module, "CAMPAIGN"):
+    if package == "campaigns":
         from campaigns.run import run
 
         return run(name, module.CAMPAIGN, rest)
+    sys.argv = [f"python -m {package} {name}", *rest]
     return int(module.main() or 0)

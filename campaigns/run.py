@@ -19,7 +19,7 @@ import sys
 import time
 import traceback
 from argparse import Namespace
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,8 @@ class Campaign:
     """Whether rows break a promise: exit code 1, as of a crash."""
     rows_a_process: int | None = None
     """A process ends after so many rows, where they take much memory."""
+    jobs: int | None = None
+    """Rows asked at once, where it is not one a core."""
 
 
 def commit() -> str:
@@ -80,6 +82,12 @@ def key(task: Row) -> str:
 def answered(rows: Iterable[Row]) -> list[Row]:
     """Rows with an answer: neither skipped nor crashed."""
     return [row for row in rows if "skipped" not in row and "crash" not in row]
+
+
+def markdown(heads: Sequence[str], lines: Iterable[Iterable[object]]) -> str:
+    """A table of cells."""
+    cells = (f"| {' | '.join(map(str, line))} |" for line in (heads, *lines))
+    return "\n".join([next(cells), "|---" * len(heads) + "|", *cells])
 
 
 def asked(campaign: Campaign, task: Row, given: Namespace) -> Row:
@@ -124,7 +132,7 @@ def _parsed(name: str, campaign: Campaign, words: list[str]) -> Namespace:
     parser.add_argument("--size", type=int, default=campaign.size, help=campaign.counts)
     parser.add_argument("--first-seed", type=int, default=0, help="another number makes fresh datasets")
     parser.add_argument("--minutes", type=float, default=1e9, help="begin nothing new after; 0: the table")
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--jobs", type=int, default=campaign.jobs or len(os.sched_getaffinity(0)))
     parser.add_argument("--rows", type=Path, help="file of rows; build/campaigns/NAME-COMMIT.jsonl")
     parser.add_argument(
         "--where", metavar="FIELD=VALUE", action="append", default=[], help="such tasks alone"

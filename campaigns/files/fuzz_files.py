@@ -1,11 +1,8 @@
 """Damages files and requests of every kind and counts how the commands that read them end.
 
-fuzz_files                        the whole campaign: some 4,000 mutations, ten minutes of one core
-fuzz_files --share 0.1 --seed 5   a tenth of it, others than those of seed 1
-fuzz_files --only "run: a bit"    one kind
-
 Each command runs in a process of its own. Bad is an exit code other than 0 to 4, a traceback, more than 60 s,
-more than 2 GB, and a signal; each is printed with the file that did it, and the exit code is then 1.
+more than 2 GB, and a signal. The file that did it is kept in `--keep`, and the exit code is then 1.
+`--where "kind=run: a bit"` asks for one kind.
 """
 
 from __future__ import annotations
@@ -23,13 +20,15 @@ import sys
 import tempfile
 import time
 import traceback
+from argparse import Namespace
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from campaigns import ROOT
 from campaigns.files import fuzz_kinds
+from campaigns.run import Campaign, Row, answered, markdown
 
 LONGEST_S = 60.0
 FIRST_START_S = 600.0
@@ -53,20 +52,6 @@ class End:
     def bad(self) -> bool:
         broken = self.code not in CODES or "Traceback" in self.said
         return broken or self.wall_s > LONGEST_S or self.memory_mb > MOST_MB
-
-
-@dataclass
-class Count:
-    """What came of a kind."""
-
-    mutations: int = 0
-    codes: Counter[int] = field(default_factory=Counter)
-    wall_s: float = 0.0
-    memory_mb: float = 0.0
-
-    def add(self, end: End) -> None:
-        self.codes[end.code] += 1
-        self.wall_s, self.memory_mb = max(self.wall_s, end.wall_s), max(self.memory_mb, end.memory_mb)
 
 
 def isolated(action: Callable[[], int], out: Path, longest_s: float | None = None) -> End:
@@ -109,8 +94,8 @@ def _be_child(action: Callable[[], int], out: Path) -> None:
         os._exit(code)
 
 
-def campaign(only: list[str], share: float, seed: int, work: Path, keep: Path) -> bool:
-    """Runs it and prints the table; True when nothing was bad."""
+def made_seeds(work: Path) -> fuzz_kinds.Seeds:
+    """The undamaged files, made and read once. Raises RuntimeError when that fails."""
     seeds = fuzz_kinds.Seeds(work / "seeds", EFFECT)
 
     def make_seeds() -> int:
@@ -119,36 +104,42 @@ def campaign(only: list[str], share: float, seed: int, work: Path, keep: Path) -
 
     made = isolated(make_seeds, work / "out.txt", FIRST_START_S)
     if made.code != 0:
-        sys.exit(f"the undamaged files could not be made (exit {made.code}): {made.said}")
+        raise RuntimeError(f"the undamaged files could not be made (exit {made.code}): {made.said}")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
         if not seeds.warm(work / "warm"):
-            sys.exit(said.getvalue())
-    good = True
-    counts: dict[str, Count] = {}
-    for kind, (whole, make) in fuzz_kinds.kinds().items():
-        if only and kind not in only:
-            continue
-        count = counts[kind] = Count()
-        for number in range(max(1, round(whole * share))):
-            here = work / "here"
-            here.mkdir()
-            how, actions = make(seeds, here, random.Random(f"{seed} {kind} {number}"), number)
-            count.mutations += 1
-            for name, action in actions:
-                end = isolated(action, work / "out.txt")
-                count.add(end)
-                if end.bad:
-                    good = False
-                    kept = keep / f"{seed}-{kind}-{number}".replace(" ", "_").replace(":", "")
-                    shutil.rmtree(kept, ignore_errors=True)
-                    shutil.copytree(here, kept, symlinks=True, ignore=_special)
-                    told = end.said.strip().splitlines()[-1:] or [""]
-                    print(f"BAD {kind} {number} ({how!r}) {name}: {end.code}, {end.wall_s:.1f} s,"
-                          f" {end.memory_mb:.0f} MB: {told[0][:200]} ({kept})", flush=True)  # fmt: skip
-            shutil.rmtree(here)
-        print(f"{kind}: {count.mutations} done", file=sys.stderr, flush=True)
-    print(table(counts))
-    return good
+            raise RuntimeError(said.getvalue())
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # commands make it a KeyboardInterrupt
+    return seeds
+
+
+def fuzzed(task: Row, seeds: fuzz_kinds.Seeds, work: Path, keep: Path) -> Row:
+    """How the commands of a kind's mutations end; files of bad ends are copied to `keep`."""
+    kind, seed = task["kind"], task["seed"]
+    ends: list[End] = []
+    bad: list[str] = []
+    for number in range(task["mutations"]):
+        here = work / "here"
+        here.mkdir()
+        how, actions = fuzz_kinds.kinds()[kind][1](
+            seeds, here, random.Random(f"{seed} {kind} {number}"), number
+        )
+        for name, action in actions:
+            end = isolated(action, work / "out.txt")
+            ends.append(end)
+            if end.bad:
+                kept = keep / f"{seed}-{kind}-{number}".replace(" ", "_").replace(":", "")
+                shutil.rmtree(kept, ignore_errors=True)
+                shutil.copytree(here, kept, symlinks=True, ignore=_special)
+                told = end.said.strip().splitlines()[-1:] or [""]
+                bad.append(f"{kind} {number} ({how!r}) {name}: {end.code}, {end.wall_s:.1f} s,"
+                           f" {end.memory_mb:.0f} MB: {told[0][:200]} ({kept})")  # fmt: skip
+        shutil.rmtree(here)
+    return {
+        "codes": Counter(str(end.code) for end in ends),
+        "wall_s": max(end.wall_s for end in ends),
+        "memory_mb": max(end.memory_mb for end in ends),
+        "bad": bad,
+    }
 
 
 def _special(folder: str, names: list[str]) -> list[str]:
@@ -159,33 +150,38 @@ def _special(folder: str, names: list[str]) -> list[str]:
     ]
 
 
-def table(counts: dict[str, Count]) -> str:
-    """One line a kind."""
-    codes = sorted({*CODES, *(code for count in counts.values() for code in count.codes)})
-    heads = "".join(f"{f'exit {code}':>8}" for code in codes)
-    lines = [f"{'kind':<18}{'mutations':>10}{'commands':>10}{heads}{'worst s':>9}{'MB':>7}"]
-    for kind, count in counts.items():
-        ends = "".join(f"{count.codes[code]:>8}" for code in codes)
-        head = f"{kind:<18}{count.mutations:>10}{count.codes.total():>10}"
-        lines.append(f"{head}{ends}{count.wall_s:>9.1f}{count.memory_mb:>7.0f}")
-    return "\n".join(lines)
+def plan(given: Namespace) -> list[Row]:
+    kinds = fuzz_kinds.kinds().items()
+    counts = {kind: max(1, round(given.size / 100 * whole)) for kind, (whole, _) in kinds}
+    return [{"kind": kind, "seed": given.first_seed, "mutations": count} for kind, count in counts.items()]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--only", action="append", default=[], choices=list(fuzz_kinds.kinds()))
-    parser.add_argument("--share", type=float, default=1.0, help="of all mutations")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--keep", type=Path, default=Path("fuzz_files.bad"), help="where bad files are kept")
-    given = parser.parse_args()
+def ask(task: Row, given: Namespace) -> Row:
     keep = given.keep.absolute()
-    with tempfile.TemporaryDirectory(prefix="needle-rig-fuzz-") as folder:
-        os.chdir(folder)
-        good = campaign(given.only, given.share, given.seed, Path(folder), keep)
-    sys.exit(0 if good else 1)
+    with tempfile.TemporaryDirectory(prefix="needle-rig-fuzz-") as folder, contextlib.chdir(folder):
+        return fuzzed(task, made_seeds(Path(folder)), Path(folder), keep)
 
 
-if __name__ == "__main__":
-    main()
+def table(rows: list[Row], _: Namespace) -> str:
+    """One line a kind, and what was bad."""
+    found = answered(rows)
+    codes = sorted({*map(str, CODES), *(code for row in found for code in row["codes"])}, key=int)
+    heads = ["kind", "mutations", "commands", *(f"exit {code}" for code in codes), "worst s", "MB"]
+    lines = []
+    for row in found:
+        ends = [row["codes"].get(code, 0) for code in codes]
+        worst = (f"{row['wall_s']:.1f}", f"{row['memory_mb']:.0f}")
+        lines.append((row["kind"], row["mutations"], sum(ends), *ends, *worst))
+    return "\n".join([markdown(heads, lines), "", *(f"- {bad}" for row in found for bad in row["bad"])])
+
+
+def failed(rows: list[Row]) -> bool:
+    return any(row["bad"] for row in answered(rows))
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(first_seed=1)
+    parser.add_argument("--keep", type=Path, default=Path("fuzz_files.bad"), help="where bad files are kept")
+
+
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 100, "percent of all mutations (100)", options, failed)

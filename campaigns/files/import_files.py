@@ -21,7 +21,7 @@ import numpy as np
 
 from campaigns import ROOT
 from campaigns.files import import_kinds, import_mutations
-from campaigns.run import Campaign, Row, answered
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.dataset import read_dataset
 from needle_rig.dataset.description import RigPart, read_description
 from needle_rig.errors import BadInput
@@ -146,15 +146,14 @@ def table(rows: list[Row], _: Namespace) -> str:
     """How guesses end, by file and by kind of mutation."""
     files = [row for row in answered(rows) if "mutation" not in row]
     mutations = Counter((row["kind"], row["verdict"]) for row in answered(rows) if "mutation" in row)
-    lines = ["| file | guess | said |", "|---|---|---|"]
+    guesses = []
     for row in files:
         mark = "" if row["expected"] else " ←"
-        lines.append(f"| {row['file']} | {row['verdict']}{mark} | {row['said'][:150].replace('|', '¦')} |")
+        guesses.append((row["file"], row["verdict"] + mark, row["said"][:150].replace("|", "¦")))
     ends = Counter(row["verdict"] for row in files)
-    lines += ["", f"{len(files)} files: " + ", ".join(f"{n} {end}" for end, n in sorted(ends.items())), ""]
-    lines += ["| mutation | guess | files |", "|---|---|---|"]
-    lines += [f"| {kind} | {end} | {count} |" for (kind, end), count in sorted(mutations.items())]
-    return "\n".join(lines)
+    sums = f"{len(files)} files: " + ", ".join(f"{n} {end}" for end, n in sorted(ends.items()))
+    damaged = markdown(("mutation", "guess", "files"), ((*end, n) for end, n in sorted(mutations.items())))
+    return "\n\n".join([markdown(("file", "guess", "said"), guesses), sums, damaged])
 
 
 def failed(rows: list[Row]) -> bool:

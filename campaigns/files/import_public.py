@@ -25,7 +25,7 @@ import yaml
 
 from campaigns.files import public_kinds
 from campaigns.files.public_kinds import Is, Public
-from campaigns.run import Campaign, Row, answered
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.cli.main import run as command
 from needle_rig.importing.unit_text import unit_of
 
@@ -252,13 +252,11 @@ def ask(task: Row, _: Namespace) -> Row:
 
 def table(rows: list[Row], _: Namespace) -> str:
     """How each recording ends, with what was said."""
-    lines = ["| recording | mapping | answered | said |", "|---|---|---|---|"]
+    lines = []
     for row in answered(rows):
         said = "<br>".join(str(line).replace("|", "¦") for line in row["said"])
-        lines.append(
-            f"| {row['recording']} | {row['mapping']} | {'yes' if row['answered'] else 'no'} | {said} |"
-        )
-    return "\n".join(lines)
+        lines.append((row["recording"], row["mapping"], "yes" if row["answered"] else "no", said))
+    return markdown(("recording", "mapping", "answered", "said"), lines)
 
 
 def failed(rows: list[Row]) -> bool:

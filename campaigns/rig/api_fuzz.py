@@ -1,19 +1,18 @@
 """Asks a daemon in virtual time everything that its OpenAPI document allows, and what it forbids.
 
-pip install schemathesis; api_fuzz --examples 200
-
 Schemathesis makes the requests from /openapi.json: valid ones, and ones that break the document in one
 place. No answer may be 5xx, be no JSON, or have a status that the document does not name; the daemon must
-answer its state at the end, with no run begun by a request that was refused. Exit 1 when any does.
+answer its state at the end, with no run begun by a request that was refused. Exit code 1 when any does.
+It needs: pip install schemathesis
 """
 
 from __future__ import annotations
 
-import argparse
 import collections
+import contextlib
 import logging
-import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypedDict
@@ -24,6 +23,7 @@ import schemathesis
 from hypothesis import HealthCheck
 from schemathesis.core.result import Ok
 
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.service.client import private_daemon
 
 logging.disable(logging.WARNING)
@@ -35,12 +35,12 @@ class Operation(TypedDict):
     responses: Mapping[str, object]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--examples", type=int, default=100, help="of each operation and mode")
-    options = parser.parse_args()
+def plan(given: Namespace) -> list[Row]:
+    return [{"mode": mode.value, "examples": given.size} for mode in schemathesis.GenerationMode]
+
+
+def ask(task: Row, _: Namespace) -> Row:
+    """How one daemon answers the requests of one mode."""
     statuses: collections.Counter[tuple[str, str, int]] = collections.Counter()
     bad: list[str] = []
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
@@ -49,23 +49,16 @@ def main() -> int:
             with httpx.Client(transport=transport, base_url="http://daemon", timeout=30) as client:
                 document = client.get("/openapi.json").json()
                 schema = schemathesis.openapi.from_dict(document)
-                for mode in schemathesis.GenerationMode:
-                    for result in schema.get_all_operations():
-                        assert isinstance(result, Ok), result
-                        ask_all(client, document["paths"], result.ok(), mode, options.examples, statuses, bad)
+                mode = schemathesis.GenerationMode(task["mode"])
+                for result in schema.get_all_operations():
+                    assert isinstance(result, Ok), result
+                    ask_all(client, document["paths"], result.ok(), mode, task["examples"], statuses, bad)
                 client.post("/stop")
-                state = client.get("/state").json()
+                phase = client.get("/state").json()["phase"]
         files = len(list(Path(folder).glob("*.h5")))
-    begun = sum(
-        count for (_, path, status), count in statuses.items() if (path, status) == ("/compensate", 202)
-    )
-    for (method, path, status), count in sorted(statuses.items()):
-        print(f"{count:6d}  {method} {path}: {status}")
-    print(f"{sum(statuses.values())} requests, phase {state['phase']}; {begun} runs begun, {files} files")
-    print(f"bad answers: {len(bad)}")
-    for each in bad[:20]:
-        print(f"        {each}")
-    return 1 if bad or files > begun else 0
+    begun = sum(n for (_, *asked), n in statuses.items() if asked == ["/compensate", 202])
+    answers = [[*asked, count] for asked, count in sorted(statuses.items())]
+    return {"answers": answers, "phase": phase, "bad": bad, "begun": begun, "files": files}
 
 
 def ask_all(
@@ -107,11 +100,25 @@ def ask_all(
             bad.append(f"{method} {path}: {answer.status_code} is no JSON: {answer.text[:200]}")
 
     client.post("/stop")  # ends a lease that an operation before took
-    try:
+    with contextlib.suppress(hypothesis.errors.Unsatisfiable):  # then there is nothing to ask
         ask()
-    except hypothesis.errors.Unsatisfiable:
-        print(f"        {method} {path}: nothing to ask ({mode.value})")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def table(rows: list[Row], _: Namespace) -> str:
+    """How often each operation was answered with which status, and the answers that are bad."""
+    lines, notes = [], [""]
+    for row in answered(rows):
+        lines += [(row["mode"], f"{method} {path}", *told) for method, path, *told in row["answers"]]
+        notes.append(
+            f"- {row['mode']}: {sum(each[-1] for each in row['answers'])} requests, phase {row['phase']};"
+            f" {row['begun']} runs begun, {row['files']} files; {len(row['bad'])} bad answers"
+        )
+        notes += [f"- {each}" for each in row["bad"][:20]]
+    return "\n".join([markdown(("mode", "operation", "status", "answers"), lines), *notes])
+
+
+def failed(rows: list[Row]) -> bool:
+    return any(row["bad"] or row["files"] > row["begun"] for row in answered(rows))
+
+
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 100, "examples of each operation (100)", failed=failed)

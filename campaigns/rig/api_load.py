@@ -1,8 +1,5 @@
 """What the API costs the tick: lateness and missed ticks with many bad clients, beside windows without.
 
-api_load                      seven rounds of three windows of 8 s at 200 Hz and at 1 kHz
-api_load --rounds 9 --window 10 --hz 1000
-
 The daemon is the real one in real time, with the plant of the simulated rig in its own process, a run that
 goes on and is recorded. The load: 300 clients that never finish a request, 200 watchers of which 50 never
 read, bodies of 1 MB, one after the other, and the state, asked for by four clients at once. In one window
@@ -13,7 +10,6 @@ one is what a busy machine costs; what the daemon's differs from the bystander's
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import base64
 import contextlib
@@ -29,6 +25,7 @@ import sys
 import tempfile
 import threading
 import time
+from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -36,6 +33,8 @@ from typing import Any
 import numpy as np
 import structlog
 
+from campaigns import ROOT
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.assembly import build_daemon
 from needle_rig.config.loader import load_rig_config
 from needle_rig.service.api.api_link import STATES_HZ, ApiLink
@@ -46,6 +45,8 @@ from needle_rig.service.tick.realtime import make_steady
 HALF_OPEN, WATCHERS, DEAF = 300, 200, 50
 BODY = b'{"target_deg": 1, "options": {"a": "' + b"x" * 1_000_000 + b'"}}'
 RENEW_S = 0.5
+RATES_HZ = (200.0, 1000.0)
+WINDOW_S = 8.0
 STILL, ASKED, BYSTANDER = ARMS = ("still", "daemon", "bystander")
 NICE = 10
 """Clients come after the daemon's processes: what their own work costs is not the API's cost."""
@@ -109,7 +110,7 @@ def serve(folder: Path, hz: float) -> None:
     print("; ".join(steady) or "real-time priority, locked memory", flush=True)
 
 
-def stand_by(folder: Path) -> None:
+def stand_by(folder: Path, hz: float) -> None:
     """Serve an API whose answers cost nobody a tick, until the standard input ends."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     example = json.loads((folder / "state.json").read_text())
@@ -206,13 +207,13 @@ class Load:
     def _bodies(self) -> None:
         while not self._over.is_set():
             with contextlib.suppress(OSError, http.client.HTTPException):
-                ask(self._path, "POST", "/compensate", BODY)
+                ask_api(self._path, "POST", "/compensate", BODY)
                 self.bodies += 1
 
     def _states(self) -> None:
         while not self._over.is_set():
             with contextlib.suppress(OSError, http.client.HTTPException):
-                ask(self._path, "GET", "/state")
+                ask_api(self._path, "GET", "/state")
                 self.states += 1
 
 
@@ -224,7 +225,7 @@ def upgrade() -> bytes:
     )
 
 
-def ask(path: Path, method: str, place: str, body: bytes | None = None) -> tuple[int, bytes]:
+def ask_api(path: Path, method: str, place: str, body: bytes | None = None) -> tuple[int, bytes]:
     client = http.client.HTTPConnection("d", timeout=10)
     client.sock = socket.socket(socket.AF_UNIX)
     client.sock.settimeout(10)
@@ -246,9 +247,12 @@ def judge(ticks: Any, window: tuple[float, float], hz: float) -> tuple[float, fl
 
 @contextlib.contextmanager
 def started(role: str, folder: Path, hz: float) -> Iterator[subprocess.Popen[str]]:
-    """This script in another role, ready; told to end afterwards."""
-    command = [sys.executable, __file__, role, str(folder), "--hz", str(hz)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    """A function of this module in a process of its own, ready; told to end afterwards."""
+    source = f"import pathlib; from {__name__} import {role}; {role}(pathlib.Path({str(folder)!r}), {hz})"
+    command = [sys.executable, "-c", source]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         assert process.stdout.readline().strip() == "ready"
@@ -259,19 +263,27 @@ def started(role: str, folder: Path, hz: float) -> Iterator[subprocess.Popen[str
             process.stdin.close()
 
 
-def measure(hz: float, rounds: int, window_s: float) -> list[str]:
+def plan(given: Namespace) -> list[Row]:
+    return [{"hz": hz, "rounds": given.size} for hz in RATES_HZ]
+
+
+def ask(task: Row, _: Namespace) -> Row:
+    """Lateness (ms) and missed ticks (per mille) of each window, by arm, in the order of the rounds."""
+    hz = task["hz"]
     windows: list[tuple[str, tuple[float, float]]] = []
     bodies = states = 0
     with tempfile.TemporaryDirectory(prefix="load-") as name:
         folder = Path(name)
-        with started("--serve", folder, hz) as daemon:
-            os.nice(NICE if os.nice(0) < NICE else 0)
-            status, _ = ask(folder / "s", "POST", "/compensate", b'{"target_deg": 45, "settle_s": 600}')
+        with started("serve", folder, hz) as daemon:
+            os.nice(NICE)
+            status, _body = ask_api(
+                folder / "s", "POST", "/compensate", b'{"target_deg": 45, "settle_s": 600}'
+            )
             assert status == 202, status
-            (folder / "state.json").write_bytes(ask(folder / "s", "GET", "/state")[1])
-            with started("--stand-by", folder, hz):
+            (folder / "state.json").write_bytes(ask_api(folder / "s", "GET", "/state")[1])
+            with started("stand_by", folder, hz):
                 time.sleep(3)
-                for turn in range(rounds):
+                for turn in range(task["rounds"]):
                     for which in range(len(ARMS)):
                         arm = ARMS[(turn + which) % len(ARMS)]
                         load = None if arm == STILL else Load(folder / ("s" if arm == ASKED else arm))
@@ -279,7 +291,7 @@ def measure(hz: float, rounds: int, window_s: float) -> list[str]:
                             load.start()
                         time.sleep(2)
                         begin_s = time.monotonic()
-                        time.sleep(window_s)
+                        time.sleep(WINDOW_S)
                         windows.append((arm, (begin_s, time.monotonic())))
                         if load is not None:
                             load.stop()
@@ -292,45 +304,31 @@ def measure(hz: float, rounds: int, window_s: float) -> list[str]:
             daemon.stdin.flush()
             steady = daemon.stdout.readline().strip()
         ticks = np.load(folder / "ticks.npy")
-    told = {
-        arm: np.array([judge(ticks, when, hz) for which, when in windows if which == arm]) for arm in ARMS
-    }
-    lines = [f"{hz:g} Hz, {rounds} rounds of {len(ARMS)} windows of {window_s:g} s; {steady}"]
-    lines.append(f"  the daemon answered {bodies} bodies of 1 MB and {states} states")
-    for index, text in enumerate(("99 % lateness, ms", "missed, per mille")):
-        lines.append(f"  {text}: median (least–most)")
-        for arm in ARMS:
-            values = told[arm][:, index]
-            lines.append(f"    {arm:10} {np.median(values):.3f} ({values.min():.3f}–{values.max():.3f})")
-    for one, other in ((ASKED, BYSTANDER), (ASKED, STILL), (BYSTANDER, STILL)):
-        ratios = np.sort(told[one][:, 0] / told[other][:, 0])
-        lines.append(
-            f"  lateness, {one} / {other} in the same round: median {np.median(ratios):.2f},"
-            f" quartiles {np.quantile(ratios, 0.25):.2f} and {np.quantile(ratios, 0.75):.2f}"
+    told = {arm: [judge(ticks, when, hz) for which, when in windows if which == arm] for arm in ARMS}
+    return {"windows": told, "bodies": bodies, "states": states, "steady": steady}
+
+
+def table(rows: list[Row], _: Namespace) -> str:
+    """Medians (least–most) over windows, and ratios of windows in the same round."""
+    lines, notes = [], [""]
+    for row in answered(rows):
+        told = {arm: np.array(windows) for arm, windows in row["windows"].items()}
+        rate = f"{row['hz']:g} Hz"
+        for arm, values in told.items():
+            cells = [f"{np.median(each):.3f} ({each.min():.3f}–{each.max():.3f})" for each in values.T]
+            lines.append((rate, arm, *cells))
+        notes.append(
+            f"- {rate}: {row['rounds']} rounds of {len(ARMS)} windows of {WINDOW_S:g} s; {row['steady']};"
+            f" the daemon answered {row['bodies']} bodies of 1 MB and {row['states']} states"
         )
-    return lines
+        for one, other in ((ASKED, BYSTANDER), (ASKED, STILL), (BYSTANDER, STILL)):
+            low, median, high = np.quantile(told[one][:, 0] / told[other][:, 0], [0.25, 0.5, 0.75])
+            notes.append(
+                f"- {rate}: lateness, {one} / {other} in the same round: median {median:.2f},"
+                f" quartiles {low:.2f} and {high:.2f}"
+            )
+    heads = ("rate", "windows", "99 % lateness ms", "missed ticks, per mille")
+    return "\n".join([markdown(heads, lines), *notes])
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--window", type=float, default=8.0, help="seconds")
-    parser.add_argument("--hz", type=float, action="append")
-    parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--stand-by", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.serve is not None:
-        serve(options.serve, options.hz[0])
-        return 0
-    if options.stand_by is not None:
-        stand_by(options.stand_by)
-        return 0
-    for hz in options.hz or [200.0, 1000.0]:
-        print("\n".join(measure(hz, options.rounds, options.window)), flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 7, "rounds of three windows (7)", rows_a_process=1, jobs=1)

@@ -1,27 +1,26 @@
 """Runs one daemon for long and looks whether anything grows.
 
-`endurance fast [--runs 1000]` compensates in virtual time, `bench [--runs 100]` on the simulated rig
-in real time, `idle [--minutes 60]` lets it stand. Each prints memory, descriptors, threads, children and
-files at ten points, and prints the table. Exit code 1 when a run is not whole, or when
-something grew.
+It compensates in virtual time (`--where mode=fast`), or on the simulated rig in real time (bench), or stands
+(idle). At ten points memory, descriptors, threads, children and files are counted. Exit code 1 when a run is
+not whole, when something grew, or when something is left behind.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import astuple, dataclass
+from argparse import Namespace
 from pathlib import Path
 
 from campaigns.rig.daemons import wait_for
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile
-from needle_rig.service.api.documents import Ended, Ticks
+from needle_rig.service.api.documents import Ended
 from needle_rig.service.client import DaemonClient
 
 POINTS = 10
@@ -29,34 +28,22 @@ GROWTH_KB_A_POINT = 300
 """Of resident memory, from the third point on: what 100 runs of a leak of 3 kB each would take."""
 
 
-@dataclass(frozen=True)
-class Point:
-    """The daemon's processes at one instant."""
-
-    done: str
-    memory_kb: int
-    descriptors: int
-    threads: int
-    children: int
-    files: int
-
-
-def look(done: str, pid: int, runs: Path, folder: Path) -> Point:
-    """Sums over the daemon and its children."""
+def look(done: str, pid: int, runs: Path, folder: Path) -> Row:
+    """What the daemon and its children take at one instant."""
     pids = [pid, *descendants(pid)]
     status = [Path(f"/proc/{each}/status").read_text() for each in pids]
 
-    def field(text: str, name: str) -> int:
-        return int(text.split(f"{name}:")[1].split()[0])
+    def summed(name: str) -> int:
+        return sum(int(text.split(f"{name}:")[1].split()[0]) for text in status)
 
-    return Point(
-        done,
-        sum(field(text, "VmRSS") for text in status),
-        sum(len(os.listdir(f"/proc/{each}/fd")) for each in pids),
-        sum(field(text, "Threads") for text in status),
-        len(pids) - 1,
-        sum(1 for path in folder.rglob("*") if runs not in path.parents),
-    )
+    return {
+        "done": done,
+        "memory kB": summed("VmRSS"),
+        "descriptors": sum(len(os.listdir(f"/proc/{each}/fd")) for each in pids),
+        "threads": summed("Threads"),
+        "children": len(pids) - 1,
+        "other files": sum(1 for path in folder.rglob("*") if runs not in path.parents),
+    }
 
 
 def descendants(pid: int) -> list[int]:
@@ -78,17 +65,20 @@ def compensate(client: DaemonClient, number: int, settle_s: float) -> Ended:
         for document in documents:
             if document["type"] == "ended" and document["result"]["run"] == run:
                 return document
-    raise SystemExit(f"the daemon ended in run {number}")
+    raise RuntimeError(f"the daemon ended in run {number}")
 
 
-def main() -> int:
-    """Run the campaign that was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("fast", "bench", "idle"))
-    parser.add_argument("--runs", type=int)
-    parser.add_argument("--minutes", type=float, default=60.0)
-    options = parser.parse_args()
-    runs = options.runs or {"fast": 1000, "bench": 100, "idle": 0}[options.what]
+def plan(given: Namespace) -> list[Row]:
+    return [
+        {"mode": "fast", "runs": 10 * given.size},
+        {"mode": "bench", "runs": max(POINTS, given.size)},
+        {"mode": "idle", "runs": 0, "minutes": 0.6 * given.size},
+    ]
+
+
+def ask(task: Row, _: Namespace) -> Row:
+    """What one daemon takes at each point, what grew from the fourth on, and what is left."""
+    fast, runs, minutes = task["mode"] == "fast", task["runs"], task.get("minutes", 0.0)
     wrong: list[str] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -97,7 +87,7 @@ def main() -> int:
         (folder / "run").mkdir(mode=0o700)
         command = [sys.executable, "-m", "needle_rig", "daemon", "--out", str(folder / "runs")]
         socket = folder / "daemon.sock"
-        command += ["--socket", str(socket), *(["--fast"] if options.what == "fast" else [])]
+        command += ["--socket", str(socket), *(["--fast"] if fast else [])]
         with (
             (folder / "log").open("w") as log,
             subprocess.Popen(command, env=environment, stderr=log) as daemon,
@@ -106,37 +96,20 @@ def main() -> int:
                 client = wait_for(socket)
                 points = [look("0", daemon.pid, folder / "runs", folder)]
                 for step in range(1, POINTS + 1):
-                    if options.what == "idle":
-                        time.sleep(options.minutes * 60.0 / POINTS)
+                    time.sleep(minutes * 60.0 / POINTS)
                     for number in range((step - 1) * runs // POINTS, step * runs // POINTS):
-                        ended = compensate(client, number, 0.1 if options.what == "fast" else 0.2)
-                        wrong += judged(ended)
-                    done = (
-                        f"{options.minutes * step / POINTS:g} min" if not runs else str(step * runs // POINTS)
-                    )
+                        wrong += judged(compensate(client, number, 0.1 if fast else 0.2))
+                    done = f"{step * runs // POINTS} runs" if runs else f"{minutes * step / POINTS:g} min"
                     points.append(look(done, daemon.pid, folder / "runs", folder))
-                    print(*astuple(points[-1]), sep="\t", flush=True)
                 ticks = client.state()["ticks"]
             finally:
                 daemon.terminate()
                 daemon.wait(60.0)
-        left = [str(path) for path in (folder / "tmp").iterdir()] + [
-            str(p) for p in (folder / "run").rglob("*.sock")
-        ]
-    settled = points[3:]
-    grown = [
-        name
-        for name, limit in (
-            ("memory_kb", GROWTH_KB_A_POINT),
-            ("descriptors", 0),
-            ("threads", 0),
-            ("children", 0),
-            ("files", 0),
-        )
-        if getattr(settled[-1], name) - getattr(settled[0], name) > limit * len(settled)
-    ]
-    print(table(points, ticks, wrong, grown, left))
-    return bool(wrong or grown or left)
+        left = [*map(str, (folder / "tmp").iterdir()), *map(str, (folder / "run").rglob("*.sock"))]
+    first, last = points[3], points[-1]
+    limits = {name: GROWTH_KB_A_POINT if name == "memory kB" else 0 for name in first if name != "done"}
+    grown = [name for name, most in limits.items() if last[name] - first[name] > most * (POINTS - 2)]
+    return {"points": points, "ticks": ticks, "wrong": wrong, "grown": grown, "left": left}
 
 
 def judged(ended: Ended) -> list[str]:
@@ -153,17 +126,23 @@ def judged(ended: Ended) -> list[str]:
     return [] if whole else [f"{run}: not whole"]
 
 
-def table(points: list[Point], ticks: Ticks, wrong: list[str], grown: list[str], left: list[str]) -> str:
+def table(rows: list[Row], _: Namespace) -> str:
     """The figures as Markdown."""
-    lines = [
-        "| done | memory kB | descriptors | threads | children | other files |",
-        "|---|---|---|---|---|---|",
-    ]
-    lines += ["| " + " | ".join(map(str, astuple(point))) + " |" for point in points]
-    lines += ["", f"ticks: {json.dumps(ticks)}", f"runs that are not whole: {len(wrong)}", *wrong[:10]]
-    lines += [f"grown: {', '.join(grown) or 'nothing'}", f"left behind: {', '.join(left) or 'nothing'}", ""]
+    found = answered(rows)
+    heads = ["daemon", *(found[0]["points"][0] if found else ())]
+    points = ([row["mode"], *point.values()] for row in found for point in row["points"])
+    lines = [markdown(heads, points), ""]
+    for row in found:
+        lines.append(f"- {row['mode']}: ticks {json.dumps(row['ticks'])}")
+        lines.append(f"- {row['mode']}: {len(row['wrong'])} runs are not whole {row['wrong'][:10] or ''}")
+        grown, left = (", ".join(row[name]) or "nothing" for name in ("grown", "left"))
+        lines.append(f"- {row['mode']}: grown {grown}, left behind {left}")
     return "\n".join(lines)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def failed(rows: list[Row]) -> bool:
+    return any(row["wrong"] or row["grown"] or row["left"] for row in answered(rows))
+
+
+SIZE = "percent of 1,000 runs in virtual time, of 100 on the bench, of an idle hour (100)"
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 100, SIZE, failed=failed, jobs=1)

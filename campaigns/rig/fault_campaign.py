@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from campaigns.rig.daemons import wait_for
-from campaigns.run import Campaign, Row, answered
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.config.files import find_config_file
 from needle_rig.config.loader import load_rig_config
 from needle_rig.control.compensation import ACTIVE
@@ -242,14 +242,8 @@ def trials_of(rows: list[Row]) -> list[Trial]:
 def table(rows: list[Row], _: Namespace) -> str:
     """The figures as Markdown."""
     trials = trials_of(rows)
-    lines = [
-        f"{len(trials)} faults, real time, drivers and ports, the firmware's nodes; age"
-        f" limits {AGE_LIMIT_MS:g} ms. *Stopped*: from the fault until the drive had left its running state, "
-        "of those that met a run.",
-        "",
-        "| fault | trials | stopped ms, median | at most | bound | file whole | brought back | named |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    heads = ["fault", "trials", "stopped ms, median", "at most", "bound", "file whole", "brought back"]
+    lines = []
     for kind, bound_ms in KINDS.items():
         these = [one for one in trials if one.kind == kind]
         if not these:
@@ -259,12 +253,15 @@ def table(rows: list[Row], _: Namespace) -> str:
         named = ", ".join(
             f"{name or 'run had ended'} {n}" for name, n in Counter(t.name for t in these).most_common()
         )
-        lines.append(
-            f"| {kind} | {len(these)} | {middle} | {most} | {bound_ms:g} | {sum(t.whole for t in these)} |"
-            f" {sum(t.back for t in these)} | {named} |"
-        )
-    lines += ["", *(f"- {one.kind}: {one.note}" for one in wrong(trials)[:20]), ""]
-    return "\n".join(lines)
+        good = (sum(t.whole for t in these), sum(t.back for t in these))
+        lines.append((kind, len(these), middle, most, f"{bound_ms:g}", *good, named))
+    about = (
+        f"{len(trials)} faults, real time, drivers and ports, the firmware's nodes; age"
+        f" limits {AGE_LIMIT_MS:g} ms. *Stopped*: from the fault until the drive had left its running state, "
+        "of those that met a run.\n"
+    )
+    notes = (f"- {one.kind}: {one.note}" for one in wrong(trials)[:20])
+    return "\n".join([about, markdown([*heads, "named"], lines), "", *notes, ""])
 
 
 def wrong(trials: list[Trial]) -> list[Trial]:
@@ -279,8 +276,7 @@ def failed(rows: list[Row]) -> bool:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(jobs=1)  # stands at the same time: ticks are late beside busy neighbours
     parser.add_argument("--fault", default="", help="faults whose name holds this")
 
 
-CAMPAIGN = Campaign(__doc__, plan, ask, table, 40, "instants of every fault (40)", options, failed)
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 40, "instants of every fault (40)", options, failed, jobs=1)

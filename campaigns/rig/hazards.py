@@ -106,13 +106,5 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fault", type=fault, default="", help="single faults whose name holds this")
 
 
-CAMPAIGN = Campaign(
-    __doc__,
-    plan,
-    ask,
-    table,
-    20,
-    "instants of each fault, speed and drive (20)",
-    options,
-    failed,
-)
+SIZE = "instants of each fault, speed and drive (20)"
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 20, SIZE, options, failed)

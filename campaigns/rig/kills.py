@@ -17,7 +17,7 @@ import uuid
 from argparse import Namespace
 from pathlib import Path
 
-from campaigns.run import Campaign, Row, answered
+from campaigns.run import Campaign, Row, answered, markdown
 
 PROGRAM = [sys.executable, "-m", "needle_rig"]
 MARK = "NEEDLE_RIG_KILLS_MARK"
@@ -99,11 +99,9 @@ def ask(task: Row, _: Namespace) -> Row:
 
 def table(rows: list[Row], _: Namespace) -> str:
     """Kills and what they left, by kind."""
-    lines = ["| killed | kills | left something behind |", "|---|---|---|"]
-    for kind in KINDS:
-        left = [row["left"] for row in answered(rows) if row["kind"] == kind]
-        lines.append(f"| {kind} | {len(left)} | {'; '.join(filter(None, left)) or 0} |")
-    return "\n".join(lines)
+    left = {kind: [row["left"] for row in answered(rows) if row["kind"] == kind] for kind in KINDS}
+    lines = ((kind, len(of), "; ".join(filter(None, of)) or 0) for kind, of in left.items())
+    return markdown(("killed", "kills", "left something behind"), lines)
 
 
 def failed(rows: list[Row]) -> bool:

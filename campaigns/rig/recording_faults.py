@@ -1,11 +1,10 @@
 """Kills, full disks and power cuts while runs are recorded: what is left on the disk is judged row by row.
 
-`recording_faults kills [COUNT]` kills the daemon's end or the recorder process with -9 at random
-instants, from the start of the processes to the end of the run. `full [COUNT]` records on disks of random
-sizes: tmpfs where it may be mounted, else (and for every other one) a limit to the file size. `cuts [COUNT]`
-cuts the power at random instants: of what was written since the last fsync a random choice of pages and names
-reaches the disk, one page torn between sectors. Each ends with a table, and with 1 when a row is wrong or a
-file does not open.
+`--where fault=kills` kills the daemon's end or the recorder process with -9 at random instants, from the
+start of the processes to the end of the run. `full` records on disks of random sizes: tmpfs where it may be
+mounted, else (and for every other one) a limit to the file size. `cuts` cuts the power at random instants: of
+what was written since the last fsync a random choice of pages and names reaches the disk, one page torn
+between sectors. Exit code 1 when a row is wrong or a file does not open.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import dataclasses
 import io
 import json
 import mmap
-import multiprocessing
 import os
 import random
 import re
@@ -26,9 +24,9 @@ import signal
 import statistics
 import struct
 import subprocess
-import sys
 import tempfile
 import time
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -36,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.config.loader import load_rig_config
 from needle_rig.errors import NeedleRigError
 from needle_rig.recording import RunFile, RunWriter, list_runs, run_tables, unfinished_runs
@@ -44,11 +43,9 @@ from needle_rig.service.recorder.recorder import Recorder
 from needle_rig.service.recorder.recorder_link import Reply
 from needle_rig.service.recorder.recorder_process import Keeper
 
-SEED = 20_260
 TICK_S, RAW_PER_TICK = 0.005, 5
 LOSS_LIMIT_S = 0.25
 PAGE_BYTES, SECTOR_BYTES = 4096, 512
-AT_ONCE = 8
 ADDRESS = re.compile(r"\b0x[0-9a-f]{6}")
 RUN_S = 0.6
 
@@ -83,28 +80,6 @@ class Tally:
     def good(self) -> bool:
         rows = self.zero_rows + self.foreign_rows + self.backward_rows + self.missing_rows
         return not (rows or self.unopened or self.wrong) and max(self.lost_s, default=0.0) <= LOSS_LIMIT_S
-
-    def table(self, title: str) -> str:
-        lost = self.lost_s or [0.0]
-        lines = [
-            (title, str(self.tried)),
-            *((f"  {what}", str(number)) for what, number in sorted(self.counts.items())),
-            (
-                "lost, median / max",
-                f"{statistics.median(lost):.3f} / {max(lost):.3f} s of {len(self.lost_s)}",
-            ),
-            ("zero rows", str(self.zero_rows)),
-            ("rows of another run", str(self.foreign_rows)),
-            ("rows back in time", str(self.backward_rows)),
-            ("rows missing in between", str(self.missing_rows)),
-            ("files that do not open", str(self.unopened)),
-            ("torn ends seen", str(self.torn_seen)),
-            ("other things wrong", str(len(self.wrong))),
-        ]
-        width = max(len(name) for name, _ in lines)
-        return "\n".join(
-            f"{name.ljust(width)}  {value}" for name, value in lines + [("", w) for w in self.wrong[:9]]
-        )
 
 
 def sample_at(time_s: float, run: int) -> Sample:
@@ -246,20 +221,18 @@ def start_daemon(folder: Path, run: int, run_s: float, shared: Shared) -> int:
     return pid
 
 
-def kills(count: int, folder: Path, seed: int = SEED) -> Tally:
+def kills(count: int, folder: Path, seed: int) -> Tally:
     """Kill -9 at `count` random instants."""
     load_rig_config()
-    tally = Tally()
-    tasks = [(folder / f"kill{run}", run, seed) for run in range(1, count + 1)]
-    with multiprocessing.get_context("fork").Pool(AT_ONCE) as pool:
-        for one in pool.imap_unordered(_one_kill, tasks):
-            tally.add(one)
+    chance, tally = random.Random(seed), Tally()
+    for run in range(1, count + 1):
+        _one_kill(folder / f"kill{run}", run, chance, tally)
     return tally
 
 
-def _one_kill(task: tuple[Path, int, int]) -> Tally:
-    place, run, seed = task
-    chance, tally, shared = random.Random(seed * 10_000 + run), Tally(tried=1), Shared()
+def _one_kill(place: Path, run: int, chance: random.Random, tally: Tally) -> None:
+    shared = Shared()
+    tally.tried += 1
     place.mkdir()
     whom = chance.choice(("daemon", "recorder"))
     pid = start_daemon(place, run, RUN_S, shared)
@@ -286,7 +259,6 @@ def _one_kill(task: tuple[Path, int, int]) -> Tally:
     tally.count(f"{whom} killed {when}")
     _judge_kill(place, run, shared.get(FIRST_S), handed_s, whom, ended, tally)
     shutil.rmtree(place)
-    return tally
 
 
 def _watch(pid: int) -> int | None:
@@ -320,7 +292,7 @@ def _judge_kill(
 # full disks
 
 
-def full(count: int, folder: Path, seed: int = SEED) -> Tally:
+def full(count: int, folder: Path, seed: int) -> Tally:
     """Record on `count` disks of random size."""
     chance, tally = random.Random(seed), Tally()
     for run in range(1, count + 1):
@@ -545,7 +517,7 @@ class Disk:
             self.names, self.moves = self._inodes(), []
 
 
-def cuts(count: int, folder: Path, seed: int = SEED) -> Tally:
+def cuts(count: int, folder: Path, seed: int) -> Tally:
     """Cut the power at `count` random instants."""
     chance, tally = random.Random(seed), Tally()
     asked = _cut_run(folder / "whole", folder / "none", 1, 0, chance, Tally())
@@ -608,22 +580,47 @@ def _cut_run(place: Path, image: Path, run: int, cut_at: int, chance: random.Ran
     return disk.asked
 
 
-CAMPAIGNS = {"kills": (kills, 1000), "full": (full, 200), "cuts": (cuts, 200)}
+FAULTS = {"kills": (kills, 50), "full": (full, 10), "cuts": (cuts, 10)}
 
 
-def main() -> int:
-    which = sys.argv[1] if len(sys.argv) > 1 else ""
-    if which not in CAMPAIGNS:
-        print(__doc__)
-        return 2
-    campaign, usual = CAMPAIGNS[which]
+def plan(given: Namespace) -> list[Row]:
+    seeds = range(given.first_seed, given.first_seed + given.size)
+    return [{"fault": name, "seed": s, "count": count} for s in seeds for name, (_, count) in FAULTS.items()]
+
+
+def ask(task: Row, _: Namespace) -> Row:
     with tempfile.TemporaryDirectory(prefix="recording-faults-") as folder:
-        begin_s = time.monotonic()
-        tally = campaign(int(sys.argv[2]) if len(sys.argv) > 2 else usual, Path(folder))
-        print(tally.table(which))
-        print(f"took {time.monotonic() - begin_s:.0f} s")
-    return 0 if tally.good else 1
+        made, _count = FAULTS[task["fault"]]
+        return {"tally": dataclasses.asdict(made(task["count"], Path(folder), task["seed"]))}
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def tallies(rows: list[Row]) -> dict[str, Tally]:
+    """What each fault did, over all rows."""
+    found = {fault: Tally() for fault in FAULTS}
+    for row in answered(rows):
+        found[row["fault"]].add(Tally(**row["tally"]))
+    return found
+
+
+def table(rows: list[Row], _: Namespace) -> str:
+    """What each fault left."""
+    heads = ["fault", "tried", "lost s, median", "lost s, at most", "zero rows", "rows of another run"]
+    heads += ["rows back in time", "rows missing in between", "files that do not open", "torn ends seen"]
+    lines, notes = [], [""]
+    for fault, t in tallies(rows).items():
+        lost = t.lost_s or [0.0]
+        counts = (t.zero_rows, t.foreign_rows, t.backward_rows, t.missing_rows, t.unopened, t.torn_seen)
+        times = (f"{statistics.median(lost):.3f}", f"{max(lost):.3f}")
+        lines.append((fault, t.tried, *times, *counts, len(t.wrong)))
+        notes += [f"- {fault}: {what} {number}" for what, number in sorted(t.counts.items())]
+        notes += [f"- {fault}: {what}" for what in t.wrong[:9]]
+    return "\n".join([markdown([*heads, "otherwise wrong"], lines), *notes])
+
+
+def failed(rows: list[Row]) -> bool:
+    return not all(tally.good for tally in tallies(rows).values())
+
+
+# rows mostly wait
+SIZE = "rows of 50 kills, of 10 full disks and of 10 power cuts (20)"
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 20, SIZE, failed=failed, jobs=8)

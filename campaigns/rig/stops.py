@@ -1,18 +1,14 @@
 """Whether a stop holds: stops at random instants against a daemon in virtual time, by what the rig was told.
 
-stops --stops 2000            the whole campaign, a few minutes on one core
-stops --stops 40 --seed 7     a sample; exit 1 when any stop did not hold
-
 Half of the stops fall into a start's window: its first byte is out, the disk is slow (making the run's file
 takes up to 50 ms) and the rest of the request comes before or after the stop's acknowledgement, or between.
 The others fall at random instants of a motion. Starts are runs, jogs, homings and holds, half with a lease.
 A stop holds when, after its acknowledgement, nothing that enables the drive goes to the rig until a new
-start.
+start. Exit code 1 when one did not.
 """
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import collections
 import dataclasses
@@ -21,16 +17,17 @@ import logging
 import random
 import select
 import socket
-import sys
 import tempfile
 import threading
 import time
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import structlog
 
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.assembly import build_daemon
 from needle_rig.config.loader import load_rig_config
 from needle_rig.records import Command, Firmware, JsonObject, Measurement
@@ -38,6 +35,8 @@ from needle_rig.rig import Rig
 from needle_rig.service.api.endpoint import listening
 from needle_rig.service.tick.daemon import Daemon
 
+STOPS = 200
+"""Of a row."""
 SLOW_DISK_S = 0.05
 MOTION_S = 0.3
 WATCHED_S = 0.01
@@ -134,15 +133,15 @@ def request(path: str, content: JsonObject, lease: str | None = None) -> bytes:
     return head.encode() + b"\r\n" + body
 
 
-class Campaign:
+class Stops:
     """Stops one after the other, and what became of each."""
 
     def __init__(self, path: Path, rig: Callable[[], Tapped], chance: random.Random) -> None:
         self._path, self._rig, self._chance = path, rig, chance
-        self.counts: collections.Counter[tuple[str, str]] = collections.Counter()
+        self.ends: collections.Counter[str] = collections.Counter()
         self.broken: list[JsonObject] = []
         self.anew = self.asked_twice = 0
-        self.acknowledged_s: list[float] = []
+        self.acknowledged_ms: list[float] = []
 
     def one(self, number: int) -> None:
         window = number % 2 == 0
@@ -165,7 +164,7 @@ class Campaign:
             case = {"number": number, "kind": kind, "name": name, "lease": lease is not None}
             self.broken.append({**case, "status": status, "told": told, "late": len(late)})
             self._ask("/stop", {})
-        self.counts[kind, ended] += 1
+        self.ends[f"{kind}: {ended}"] += 1
         start.close()
         stop.close()
         if number % 10 == 0:
@@ -208,7 +207,7 @@ class Campaign:
     def _acknowledged(self, stop: Connection, asked_s: float) -> None:
         status, told = stop.answer()
         assert status == 202, told
-        self.acknowledged_s.append(time.monotonic() - asked_s)
+        self.acknowledged_ms.append(round(1e3 * (time.monotonic() - asked_s), 1))
 
     def _anew(self) -> None:
         """A start right after the stop must work, and move."""
@@ -242,7 +241,7 @@ class Campaign:
             connection.close()
 
 
-def run(stops: int, seed: int, folder: Path) -> Campaign:
+def run(stops: int, seed: int, folder: Path) -> Stops:
     chance = random.Random(seed)
     config = load_rig_config(None, {"simulation.drive_droop_deg_s_per_nmm": 0.0})
     daemon = build_daemon(config, virtual=True, runs=folder / "runs")
@@ -256,7 +255,7 @@ def run(stops: int, seed: int, folder: Path) -> Campaign:
     daemon._parts = dataclasses.replace(daemon._parts, make_rig=tapped)
     slow_disk(daemon, random.Random(seed + 1))
     ready = threading.Event()
-    campaign = Campaign(folder / "s", lambda: rigs[0], chance)
+    made = Stops(folder / "s", lambda: rigs[0], chance)
     failure: list[BaseException] = []
     loop: asyncio.AbstractEventLoop
 
@@ -264,7 +263,7 @@ def run(stops: int, seed: int, folder: Path) -> Campaign:
         try:
             ready.wait(120)
             for number in range(stops):
-                campaign.one(number)
+                made.one(number)
         except BaseException as error:  # noqa: BLE001 - raised again in the main thread
             failure.append(error)
         finally:
@@ -282,33 +281,40 @@ def run(stops: int, seed: int, folder: Path) -> Campaign:
         clients.join(ANSWER_S)
     if failure:
         raise failure[0]
-    return campaign
+    return made
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--stops", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
+def plan(given: Namespace) -> list[Row]:
+    return [{"seed": given.first_seed + number, "stops": STOPS} for number in range(given.size)]
+
+
+def ask(task: Row, _: Namespace) -> Row:
+    """One daemon, stopped again and again."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
-    began_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="stops-") as folder:
-        campaign = run(options.stops, options.seed, Path(folder))
-        files = len(list((Path(folder) / "runs").glob("*.h5")))
-    print(f"{options.stops} stops in {time.monotonic() - began_s:.0f} s, seed {options.seed}")
-    for (kind, ended), count in sorted(campaign.counts.items()):
-        print(f"{count:6d}  {kind}: {ended}")
-    acknowledged_s = sorted(campaign.acknowledged_s)
-    median_ms, most_ms = (acknowledged_s[index] * 1e3 for index in (len(acknowledged_s) // 2, -1))
-    print(f"acknowledged after {median_ms:.1f} ms (median), {most_ms:.1f} ms at most; {files} run files")
-    print(f"{campaign.anew} orders right after a stop, {campaign.asked_twice} had to be asked twice")
-    print(f"did not hold: {len(campaign.broken)}")
-    for case in campaign.broken[:10]:
-        print(f"        {case}")
-    return 1 if campaign.broken else 0
+        made = run(task["stops"], task["seed"], Path(folder))
+    told = ("ends", "acknowledged_ms", "anew", "asked_twice", "broken")
+    return {name: getattr(made, name) for name in told}
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def table(rows: list[Row], _: Namespace) -> str:
+    """How stops ended, and those that did not hold."""
+    found = answered(rows)
+    ends: collections.Counter[str] = collections.Counter()
+    for row in found:
+        ends.update(row["ends"])
+    broken = [case for row in found for case in row["broken"]]
+    lines = [markdown(("stop: ended", "stops"), sorted(ends.items())), ""]
+    lines += [f"- {ends.total()} stops, {len(broken)} did not hold."]
+    if times := sorted(each for row in found for each in row["acknowledged_ms"]):
+        lines.append(f"- Acknowledged after {times[len(times) // 2]} ms (median), {times[-1]} ms at most.")
+    anew, twice = (sum(row[name] for row in found) for name in ("anew", "asked_twice"))
+    lines.append(f"- {anew} orders right after a stop, {twice} had to be asked twice.")
+    return "\n".join([*lines, *(f"- `{case}`" for case in broken[:10])])
+
+
+def failed(rows: list[Row]) -> bool:
+    return any(row["broken"] for row in answered(rows))
+
+
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 10, f"rows of {STOPS} stops (10)", failed=failed, jobs=1)

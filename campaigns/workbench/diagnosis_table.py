@@ -11,7 +11,7 @@ from argparse import Namespace
 from collections.abc import Iterable
 from typing import Literal
 
-from campaigns.run import Campaign, Row, answered
+from campaigns.run import Campaign, Row, answered, markdown
 from campaigns.workbench.diagnosis_sets import SETUPS, STRENGTHS, Impostor, answer_to, made, naive, plan
 from campaigns.workbench.rates import HEAD, as_physics, first, groups, line, mimicked, right, wrong
 
@@ -110,13 +110,12 @@ def table(every: list[Row], _: Namespace) -> str:
         say(f"beside it, nothing hidden: the {name} finds something", "—", [r[test] for r in none])
         found = [r[test] in r["effects"] for r in strong]
         say(f"beside it, one effect at 3 × and more: the {name}'s first is right", "—", found)
-    return "\n".join([*lines, "", *effect_lines(one)])
+    return "\n".join([*lines, "", by_effect(one)])
 
 
-def effect_lines(one: list[Row]) -> list[str]:
+def by_effect(one: list[Row]) -> str:
     """Right over asked for each effect and strength, and what was named wrongly."""
-    lines = ["| effect | " + " | ".join(f"{s:g} ×" for s in STRENGTHS) + " | wrong names |"]
-    lines.append("|---" * (len(STRENGTHS) + 2) + "|")
+    lines = []
     for name in sorted({r["effects"][0] for r in one}):
         own = [r for r in one if r["effects"] == [name]]
         cells = []
@@ -124,8 +123,8 @@ def effect_lines(one: list[Row]) -> list[str]:
             some = [first(r) for r in own if r["strength"] == strength]
             cells.append(f"{sum(some)}/{len(some)}" if some else "")
         names = sorted({n for r in own if wrong(r) for n in r["named"]})
-        lines.append(f"| {name} | " + " | ".join(cells) + f" | {', '.join(names)} |")
-    return lines
+        lines.append((name, *cells, ", ".join(names)))
+    return markdown(("effect", *(f"{s:g} ×" for s in STRENGTHS), "wrong names"), lines)
 
 
 CAMPAIGN = Campaign(__doc__, planned, ask, table, size=5, counts="seeds of each question (5)")

@@ -1,8 +1,5 @@
 """The same fit of the same traces by needle-rig, lmfit and Sherpa: typed, shown, and wrong by default.
 
-scripts/evidence fit_peers fit_peers            writes docs/evidence/fit_peers.md
-fit_peers [--seeds N]
-
 Friction, torsional rigidity and the stiffness of an elastic tissue, from simulated traces whose values are
 known. It needs: pip install lmfit sherpa, into an environment of their own. Sherpa may have to be compiled:
 then also a compiler, bison, flex and FFTW.
@@ -10,21 +7,22 @@ then also a compiler, bison, flex and FFTW.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import inspect
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from argparse import Namespace
+from collections.abc import Callable
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 import needle_rig as nr
-from campaigns.workbench.fit_ways import HALL_DEG, MODEL, NAMES, TORQUE_NMM, WAYS, Said, Way, samples
+from campaigns.run import Campaign, Row, answered, markdown
+from campaigns.workbench.fit_ways import HALL_DEG, MODEL, NAMES, TORQUE_NMM, WAYS, samples
 from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.numerics import Array
 from needle_rig.units import nm, rad
@@ -84,64 +82,42 @@ def made(case: str, seed: int) -> Dataset:
     return dataclasses.replace(given, trials=tuple(trials))
 
 
-@dataclass(frozen=True)
-class Answer:
-    """One answer, and what it took."""
-
-    case: str
-    way: Way
-    said: Said
-    processor_s: float
-
-
-def answers(seeds: int) -> Iterator[Answer]:
-    """Every way on every dataset."""
-    for case in CASES:
-        for seed in range(seeds):
-            data = made(case, seed)
-            for way in WAYS:
-                begun_s = time.process_time()
-                said = way.read(way.ask(data, False))
-                yield Answer(case, way, said, time.process_time() - begun_s)
-            print(f"{case}: {seed + 1} of {seeds}", file=sys.stderr)
-
-
-def coverage(found: list[Answer]) -> list[str]:
-    """Whether what is said holds."""
-    lines = [
-        "| data | by | rms pull: friction | rigidity | stiffness | 95 % intervals that hold the truth"
-        " | rms error, %: friction | rigidity | stiffness | processor s |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
+def coverage(rows: list[Row]) -> str:
+    """Whether what is said holds, by case and way."""
+    values_of = ("friction", "rigidity", "stiffness")
+    heads = ["data", "by", *(f"rms pull: {name}" for name in values_of), "95 % intervals that hold the truth"]
+    heads += [*(f"rms error of {name} %" for name in values_of), "processor s"]
+    lines: list[list[object]] = []
     for case in CASES:
         for way in WAYS:
-            rows = [each for each in found if each.case == case and each.way is way]
-            values = np.array([row.said.values for row in rows])
-            sigmas = np.array([row.said.sigmas for row in rows])
-            ends = np.array([row.said.intervals for row in rows])
+            said = [row["said"][way.name] for row in rows if row["case"] == case]
+            if not said:
+                continue
+            values, sigmas, ends = (
+                np.array([each[name] for each in said]) for name in ("values", "sigmas", "intervals")
+            )
             pulls = np.sqrt(np.mean(((values - TRUTH) / sigmas) ** 2, axis=0))
             wrong = 100 * np.sqrt(np.mean((values / TRUTH - 1.0) ** 2, axis=0))
             inside = np.mean((ends[..., 0] <= TRUTH) & (ends[..., 1] >= TRUTH))
-            lines.append(
-                f"| {case} | {way.name} | "
-                + " | ".join(f"{pull:.1f}" for pull in pulls)
-                + f" | {100 * inside:.0f} % | "
-                + " | ".join(f"{each:.3f}" for each in wrong)
-                + f" | {np.median([row.processor_s for row in rows]):.1f} |"
-            )
-    return lines
+            cells = [
+                *(f"{pull:.1f}" for pull in pulls),
+                f"{100 * inside:.0f} %",
+                *(f"{each:.3f}" for each in wrong),
+            ]
+            lines.append([case, way.name, *cells, f"{np.median([each['processor_s'] for each in said]):.1f}"])
+    return markdown(heads, lines)
 
 
-def wrong_structure() -> list[str]:
+def wrong_structure(row: Row) -> str:
     """What each says where the model lacks the stiffness."""
-    lines = ["| by | friction | rigidity | reduced χ² |", "|---|---|---|---|"]
-    data = made("white noise", 0)
-    for way in WAYS:
-        said = way.read(way.ask(data, True))
-        off = np.abs(said.values / TRUTH - 1.0)
-        cells = [f"{said.values[k]:.4g}, {_plus_minus(said.sigmas[k])}; {off[k]:.0%} off" for k in range(2)]
-        lines.append(f"| {way.name} | {cells[0]} | {cells[1]} | {said.redchi:.0f} |")
-    return lines
+    lines = []
+    for way, said in row["said"].items():
+        off = np.abs(said["values"] / TRUTH - 1.0)
+        cells = (
+            f"{said['values'][k]:.4g}, {_plus_minus(said['sigmas'][k])}; {off[k]:.0%} off" for k in range(2)
+        )
+        lines.append([way, *cells, f"{said['redchi']:.0f}"])
+    return markdown(("by", "friction", "rigidity", "reduced χ²"), lines)
 
 
 def _plus_minus(sigma: float) -> str:
@@ -205,60 +181,76 @@ BETTER = """\
   say so."""
 
 
-def report(found: list[Answer], seeds: int) -> str:
+def installed() -> str:
+    """What the peers take, and their versions."""
+    return (
+        f"lmfit with its own packages {size_mb('lmfit', 'asteval', 'uncertainties', 'dill'):.0f} MB, Sherpa"
+        f" {size_mb('sherpa'):.0f} MB, beside NumPy and SciPy, which all three need. lmfit"
+        f" {metadata.version('lmfit')}, Sherpa {metadata.version('sherpa')}. The package index has Sherpa as"
+        " source alone: pip compiles it, with bison, flex and FFTW."
+    )
+
+
+def plan(given: Namespace) -> list[Row]:
+    """The fits that lack an effect, with what the packages say of themselves; then every dataset."""
+    if not (find_spec("lmfit") and find_spec("sherpa")):
+        print("lmfit and Sherpa are needed: pip install lmfit sherpa", file=sys.stderr)
+        raise SystemExit(2)
+    seeds = range(given.first_seed, given.first_seed + given.size)
+    cases = [{"case": case, "seed": seed} for seed in seeds for case in CASES]
+    return [{"case": "white noise", "seed": given.first_seed, "missing": True}, *cases]
+
+
+def ask(task: Row, _: Namespace) -> Row:
+    """What each way says of one dataset."""
+    import sherpa.fit  # noqa: F401 its logger exists from here on
+
+    logging.getLogger("sherpa").setLevel(logging.ERROR)
+    data, missing = made(task["case"], task["seed"]), task.get("missing", False)
+    found = {}
+    for way in WAYS:
+        begun_s = time.process_time()
+        said = dataclasses.asdict(way.read(way.ask(data, missing)))
+        arrays = {name: said[name].tolist() for name in ("values", "sigmas", "intervals")}
+        found[way.name] = {**said, **arrays, "processor_s": time.process_time() - begun_s}
+    return {"said": found} | ({"defaults": defaults(), "installed": installed()} if missing else {})
+
+
+def table(rows: list[Row], _: Namespace) -> str:
     """The page."""
-    first = [next(a for a in found if a.way is way) for way in WAYS]
+    found = [row for row in answered(rows) if "missing" not in row]
     parts = [
-        f"Friction, torsional rigidity and tissue stiffness from the same eight trials, {seeds} datasets a"
+        "Friction, torsional rigidity and tissue stiffness from the same eight trials, of many datasets a"
         " case, each with its own noise and 2 % scatter of friction between trials. lmfit and Sherpa get the"
         " predictor of needle-rig as a plain function, every sample, and the true noise of the sensors. A"
         " pull is (value − truth) / ±: its root mean square is 1 where the ± is right, and above 1 where the"
         " ± is too small. The truth of friction is the mean over all trials that could be made.",
-        "\n".join(coverage(found)),
+        coverage(found),
         f"Wandering noise is as large as the white noise, and forgets itself in {WANDER_S:g} s. Spikes are"
         f" {100 * SPIKES:g} % of the samples, {SPIKE_SIGMAS:g} σ high.",
-        "## The model lacks an effect",
-        "The same white-noise data, fitted without the stiffness that they have.",
-        "\n".join(wrong_structure()),
-        "Where Sherpa gives no ±, its log says that the search for it ran into the limits of the parameters.",
-        "## Wrong by default",
-        "\n".join(defaults()),
-        "## Where a peer is better",
-        BETTER,
-        "## Installed",
-        f"lmfit with its own packages {size_mb('lmfit', 'asteval', 'uncertainties', 'dill'):.0f} MB, Sherpa"
-        f" {size_mb('sherpa'):.0f} MB, beside NumPy and SciPy, which all three need. lmfit"
-        f" {metadata.version('lmfit')}, Sherpa {metadata.version('sherpa')}. The package index has Sherpa as"
-        " source alone: pip compiles it, with bison, flex and FFTW.",
     ]
-    for answer in first:
+    for row in answered(rows):
+        if "missing" in row:
+            parts += [
+                "## The model lacks an effect",
+                "The same white-noise data, fitted without the stiffness that they have.",
+                wrong_structure(row),
+                "Where Sherpa gives no ±, its log says that the search ran into the parameters' limits.",
+                "## Wrong by default",
+                "\n".join(row["defaults"]),
+                "## Where a peer is better",
+                BETTER,
+                "## Installed",
+                row["installed"],
+            ]
+    for way in WAYS if found else ():
         parts += [
-            f"## {answer.way.name}: typed and shown",
-            f"{answer.way.lines()} lines:",
-            f"```python\n{answer.way.source()}\n```",
-            f"```text\n{answer.said.report}\n```",
+            f"## {way.name}: typed and shown",
+            f"{way.lines()} lines:",
+            f"```python\n{way.source()}\n```",
+            f"```text\n{found[0]['said'][way.name]['report']}\n```",
         ]
     return "\n\n".join(parts)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seeds", type=int, default=20, help="datasets a case")
-    seeds = parser.parse_args().seeds
-    for name in ("lmfit", "sherpa"):
-        try:
-            metadata.version(name)
-        except metadata.PackageNotFoundError:
-            print(f"{name} is not installed here: pip install lmfit sherpa", file=sys.stderr)
-            return 2
-    import sherpa.fit  # noqa: F401 its logger exists from here on
-
-    logging.getLogger("sherpa").setLevel(logging.ERROR)
-    print(report(list(answers(seeds)), seeds))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 20, "datasets a case (20)")

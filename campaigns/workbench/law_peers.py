@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from campaigns.run import Campaign, Row, answered
+from campaigns.run import Campaign, Row, answered, markdown
 from campaigns.workbench.hidden_laws import BY_NAME
 from campaigns.workbench.peers import Data, Discrepancy, Peer, Sindy, Symbolic, left_out_error
 from needle_rig.dataset import Dataset
@@ -170,22 +170,18 @@ def table(every: list[Row], _: Namespace) -> str:
         " bins; processor seconds for all of it, the fits to all but one command included. A trial's own"
         " friction is unknown to all and is taken out of all alike.",
         "",
-        "| hidden | " + " | ".join(order) + " |",
-        "|---|" + "---|" * len(order),
     ]
-    for case in cases:
-        lines.append(
-            f"| {_words(case)} | " + " | ".join(_cell(by_both.get((case, name))) for name in order) + " |"
-        )
+    cells = [[_words(case), *(_cell(by_both.get((case, name))) for name in order)] for case in cases]
     times = [f"{np.median([r['cpu_s'] for r in rows if r['peer'] == name]):.0f}" for name in order]
-    lines += ["| *processor s, median* | " + " | ".join(times) + " |", "", "## What each says", ""]
-    lines += ["| hidden | by | says |", "|---|---|---|"]
+    lines += [markdown(["hidden", *order], [*cells, ["*processor s, median*", *times]])]
+    lines += ["", "## What each says", ""]
+    says = []
     for case in cases:
         for name in order:
             row = by_both.get((case, name))
             if row is not None and row["says"]:
-                lines.append(f"| {case} | {name} | {_short(row['says'])} |")
-    lines += ["", "## Settings", ""]
+                says.append((case, name, _short(row["says"])))
+    lines += [markdown(("hidden", "by", "says"), says), "", "## Settings", ""]
     lines += [f"- **{name}**: {told}" for name, told in _settings(rows, order) if told]
     if any(name.startswith("PyOperon") for name in order):
         lines.append("- PySR: its Julia could not be had where this was run; PyOperon stands in its stead")

@@ -14,7 +14,7 @@ import random
 import zlib
 from argparse import Namespace
 
-from campaigns.run import Campaign, Row, answered, key
+from campaigns.run import Campaign, Row, answered, key, markdown
 from campaigns.workbench.diagnosis_sets import answer_to
 from campaigns.workbench.messy_shapes import SHAPES, made
 from campaigns.workbench.noise_kinds import KINDS
@@ -88,22 +88,15 @@ def table(every: list[Row], _: Namespace) -> str:
         ),
     ]
     for field, words in (("shape", SHAPES), ("noise", KINDS)):
-        lines += [
-            "",
-            f"| {field} | right | wrong names | nothing hidden: none | not asked |",
-            "|---" * 5 + "|",
-        ]
+        cells = []
         for word in words:
             mine = [r for r in hidden if r[field] == word]
             still = [r for r in nothing if r[field] == word]
             skipped = [r for r in every if r[field] == word and "skipped" in r]
-            cells = (
-                f"{sum(map(right, mine))} of {len(mine)}",
-                str(sum(map(wrong, mine)) or ""),
-                f"{sum(r['verdict'] == 'none' for r in still)} of {len(still)}",
-                str(len(skipped) or ""),
-            )
-            lines.append(f"| {word} | " + " | ".join(cells) + " |")
+            share = f"{sum(map(right, mine))} of {len(mine)}"
+            none = f"{sum(r['verdict'] == 'none' for r in still)} of {len(still)}"
+            cells.append((word, share, sum(map(wrong, mine)) or "", none, len(skipped) or ""))
+        lines += ["", markdown((field, "right", "wrong names", "nothing hidden: none", "not asked"), cells)]
     lines += ["", *_misses(rows), ""]
     for why in sorted({r["skipped"] for r in every if "skipped" in r}):
         names = sorted({f"{r['effects'][0]} ({r['shape']})" for r in every if r.get("skipped") == why})

@@ -11,7 +11,7 @@ from argparse import Namespace
 
 import numpy as np
 
-from campaigns.run import Campaign, Row, answered
+from campaigns.run import Campaign, Row, answered, markdown
 from campaigns.workbench.diagnosis_sets import POOR, SETUPS, silent, simulated
 from campaigns.workbench.noise_kinds import KINDS, noisy
 from needle_rig.dataset import Dataset
@@ -81,7 +81,7 @@ def table(every: list[Row], _: Namespace) -> str:
         "left out, median, most",
         "searched: sets, named, unknown",
     ]
-    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    lines = []
     for kind in KINDS:
         mine = [row for row in rows if row["kind"] == kind]
         if not mine:
@@ -101,8 +101,8 @@ def table(every: list[Row], _: Namespace) -> str:
             f"{np.median(left_out):.2f}, {left_out.max():.2f}",
             f"{len(searched)}, {named}, {unknown}" if searched else "",
         ]
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return markdown(head, lines)
 
 
 CAMPAIGN = Campaign(__doc__, plan, ask, table, size=200, counts="sets a kind of noise (200)")

@@ -1,20 +1,21 @@
 """A real cable drive (config/recordings/davinci.yaml) held against the model, one part after the other.
 
-scripts/evidence real_recordings real_recordings --png docs/pictures/real-recordings.png
+`--png docs/pictures/real-recordings.png` draws the data and the best model.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 import tempfile
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from campaigns import ROOT
+from campaigns.run import Campaign, Row, answered, markdown
 from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, read_dataset, write_dataset
 from needle_rig.importing import dataset_of, read_mapping
 from needle_rig.numerics import Array
@@ -142,30 +143,33 @@ def with_more(problem: Problem, names: tuple[str, ...], before: Fit | None) -> F
     return min((f for f in fits if f is not None), key=lambda f: f.objective)
 
 
-def ladder(problem: Problem) -> list[tuple[str, Fit]]:
-    """The best fit with each part added."""
+def ladder(problem: Problem, parts: int) -> list[tuple[str, Fit]]:
+    """The best fit with each of the first parts added."""
     names: tuple[str, ...] = ()
     found: list[tuple[str, Fit]] = []
-    for title, added in PARTS:
+    for title, added in PARTS[:parts]:
         names += added
         best = with_more(problem, names, found[-1][1] if found else None)
         found.append((title, best))
-        print(f"{title}: {np.sqrt(best.chi2 / problem.size):.2f}", file=sys.stderr, flush=True)
     return found
 
 
-def row(problem: Problem, title: str, found: Fit, scatter: Array, repeat: Array) -> str:
-    """A row of the table: errors over all bins in the noise, those away from reversals in the scatter, and
-    over all bins in what a period differs by from the next."""
+def errors(problem: Problem, found: Fit, scatter: Array, repeat: Array) -> dict[str, float]:
+    """Over all bins in noise, away from reversals in scatter, over all bins in what periods differ by."""
     out = cross_validate(problem, found)
     middle = [r[:, away_from_reversals(b)] for r, b in zip(out.residuals, problem.trials, strict=True)]
     torque_nm, jaw_rad = rms(middle, 0), rms(middle, 1)
     whole = np.concatenate([r / repeat[:, None] for r in out.residuals], axis=1)
-    return (
-        f"| {title} | {np.sqrt(found.chi2 / problem.size):.2f} | {out.error:.2f} | {nmm(torque_nm):.2f} |"
-        f" {deg(jaw_rad):.3f} | {torque_nm / scatter[0]:.2f} | {jaw_rad / scatter[1]:.2f} |"
-        f" {np.sqrt(np.nanmean(whole**2)):.2f} |"
-    )
+    told = {
+        "fitted × noise": np.sqrt(found.chi2 / problem.size),
+        "left out × noise": out.error,
+        "torque left out N·mm": nmm(torque_nm),
+        "jaw left out °": deg(jaw_rad),
+        "torque × scatter": torque_nm / scatter[0],
+        "jaw × scatter": jaw_rad / scatter[1],
+        "left out × difference of periods": np.sqrt(np.nanmean(whole**2)),
+    }
+    return {name: round(float(value), 3) for name, value in told.items()}
 
 
 def between_periods(problem: Problem) -> Array:
@@ -218,10 +222,12 @@ def between_recordings(dataset: Dataset) -> Array:
     return np.asarray(np.sqrt(squares / dof))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--png", type=Path)
-    options = parser.parse_args()
+def plan(given: Namespace) -> list[Row]:
+    return [{"parts": given.size}]
+
+
+def ask(task: Row, given: Namespace) -> Row:
+    """Errors of every fit, and the values of the last one of the ladder."""
     dataset = recorded()
     trials = tuple(binned(t) for t in dataset.trials)
     noise = measure_noise(dataset.trials, trials, dataset.torque_scale)
@@ -232,39 +238,55 @@ def main() -> None:
     repeat, scatter = between_periods(problem), between_recordings(dataset)
     problem = problem.over([once_each(b) for b in trials]).with_noise(noise.having(White(scatter)))
     spans = [np.ptp(t.torque_nm[t.torque_ok]) for t in dataset.trials]
-    print(
-        f"{len(dataset.trials)} periods of {len(problem.groups)} recordings; the torque spans"
-        f" {nmm(float(np.median(spans))):.0f} N·mm. From period to period of a recording a bin differs by"
-        f" {nmm(repeat[0]):.2f} N·mm and {deg(repeat[1]):.3f}° (medians). From recording to recording, away"
-        f" from reversals, one angle, direction and load have {nmm(scatter[0]):.2f} N·mm and"
-        f" {deg(scatter[1]):.3f}° about a straight line over the speed (root mean squares): the scatter, and"
-        " the noise of every fit. What is left out is a recording, which nothing predicts better than to"
-        " once that noise.\n"
-    )
-    print(
-        "| parts, each added to those above | fitted × noise | left out × noise | torque left out N·mm |"
-        " jaw left out ° | torque × scatter | jaw × scatter | left out × difference of periods |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
-    found = ladder(problem)
-    for title, each in found:
-        print(row(problem, title, each, scatter, repeat), flush=True)
+    found = ladder(problem, task["parts"])
     last = found[-1][1]
-    print("\n| tried beside all of these | | | | | | | |\n|---|---|---|---|---|---|---|---|")
-    for name in TRIED:
-        more = with_more(problem, (*last.effects, name), last)
-        print(row(problem, name, more, scatter, repeat), flush=True)
-    print("\n| parameter | value | unit |\n|---|---|---|")
-    print(f"| torsional rigidity of the cable line | {np.exp(last.vector.log_rigidity) * 1e6:.0f} | N·mm² |")
-    print(f"| friction | {per_100mm(float(np.exp(last.vector.log_friction))):.3g} | N·mm per 100 mm |")
-    for parameter, value in zip(last.parameters, last.vector.scaled_values, strict=True):
-        told = parameter.value(float(value))
-        print(f"| {parameter.effect}.{parameter.field} | {told:.3g} | {parameter.info.unit} |")
-    if options.png is not None:
+    tried = [(name, with_more(problem, (*last.effects, name), last)) for name in TRIED]
+    if given.png is not None:
         from needle_rig.figures.recordings import draw
 
-        draw(problem, left(problem, last), options.png)
+        draw(problem, left(problem, last), given.png)
+    rigidity_nmm2 = float(np.exp(last.vector.log_rigidity)) * 1e6
+    friction = per_100mm(float(np.exp(last.vector.log_friction)))
+    fitted = zip(last.parameters, last.vector.scaled_values, strict=True)
+    return {
+        "data": {
+            "periods": len(dataset.trials),
+            "recordings": len(problem.groups),
+            "span of the torque (median) N·mm": round(nmm(float(np.median(spans)))),
+            "bins from period to period (medians) N·mm": round(nmm(float(repeat[0])), 2),
+            "bins from period to period (medians) °": round(deg(float(repeat[1])), 3),
+            "from recording to recording (scatter) N·mm": round(nmm(float(scatter[0])), 2),
+            "from recording to recording (scatter) °": round(deg(float(scatter[1])), 3),
+        },
+        "ladder": {title: errors(problem, each, scatter, repeat) for title, each in found},
+        "tried": {name: errors(problem, each, scatter, repeat) for name, each in tried},
+        "values": [
+            ["torsional rigidity of the cable line", rigidity_nmm2, "N·mm²"],
+            ["friction", friction, "N·mm per 100 mm"],
+            *([f"{p.effect}.{p.field}", p.value(float(value)), p.info.unit] for p, value in fitted),
+        ],
+    }
 
 
-if __name__ == "__main__":
-    main()
+def table(rows: list[Row], _: Namespace) -> str:
+    """The figures as Markdown."""
+    parts = []
+    for row in answered(rows):
+        heads = ["parts, each added to those above", *next(iter(row["ladder"].values()))]
+        parts.append(markdown(("data", "value"), row["data"].items()))
+        parts.append(markdown(heads, ([title, *each.values()] for title, each in row["ladder"].items())))
+        heads[0] = "tried beside all of these"
+        parts.append(markdown(heads, ([name, *each.values()] for name, each in row["tried"].items())))
+        values = (
+            [name, f"{value:.3g}" if value < 1e5 else round(value), unit]
+            for name, value, unit in row["values"]
+        )
+        parts.append(markdown(["parameter", "value", "unit"], values))
+    return "\n\n".join(parts)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--png", type=Path, help="file for a drawing of the last fit")
+
+
+CAMPAIGN = Campaign(__doc__, plan, ask, table, len(PARTS), "parts of the ladder (all)", options)

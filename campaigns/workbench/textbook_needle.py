@@ -1,11 +1,9 @@
-"""A needle that is not ours, with Stribeck friction as textbooks write it: datasets of it, sequences on it.
+"""A needle that is not ours, with Stribeck friction as textbooks write it: planned beside reed2008 on it.
 
-textbook_needle sets --out DIR [--seeds 1,2,3]     the standard protocol, a folder a needle and seed
-textbook_needle contest [--seeds N]                planned beside reed2008, each on the same needles
-
-The needle is `tests/physics/textbook_needle.py`; drive, sensors, noise, scatter are ours. Needles are named
-by `--ratio` υ_k/υ_s (1: nothing hidden), `--damping` in N·mm·s per 100 mm and `--exponent` (1 exponential, 2
-Gaussian), each a list with commas.
+The needle is `tests/physics/textbook_needle.py`; drive, sensors, noise, scatter are ours. A task names it by
+`ratio` υ_k/υ_s (1: nothing hidden), `damping` in N·mm·s/rad per 100 mm and `exponent` (1 exponential, 2
+Gaussian), and has two seeds. `--keep` writes datasets of the same needle and seeds, too, by the standard
+protocol: `--only '{"ratio": 1, "damping": 0.01, "exponent": 1, "seed": 1}' --keep FOLDER`.
 """
 
 from __future__ import annotations
@@ -13,10 +11,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import itertools
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
+from campaigns.run import Campaign, Row, answered, markdown
 from campaigns.workbench.textbook_sets import NULL, dataset, rig, scattered
 from needle_rig.control.strategy import Strategy, make_strategy
 from needle_rig.dataset import write_dataset
@@ -28,6 +28,17 @@ from needle_rig.workbench.contest.strategies_table import WOUND_DEG, Bout
 from needle_rig.workbench.virtual.noise import Noise
 from needle_rig.workbench.virtual.settled_run import RampDrive, SettledRun, carried_out
 from tests.physics.textbook_needle import TextbookNeedle
+
+RATIOS, DAMPINGS, EXPONENTS = (0.8, 0.5), (0.05, 0.01), (1.0, 2.0)
+SEEDS = 2
+"""Of a row."""
+WAYS: dict[str, tuple[str, dict[str, bool], bool]] = {
+    "planned, stribeck in the model": ("planned", {}, True),
+    "planned, use_hall": ("planned", {"use_hall": True}, False),
+    "planned": ("planned", {}, False),
+    "reed2008": ("reed2008", {}, False),
+}
+"""Strategy, its options, and whether its model has the needle's law."""
 
 
 def sequence(
@@ -43,8 +54,21 @@ def sequence(
     return carried_out(chosen, task, drive, one, random, bout.noise)  # type: ignore[arg-type]
 
 
-def contest(plain: TextbookNeedle, first_seed: int, seeds: int) -> str:
-    """A row: medians (95 % quantiles) of the worst error of the shaft in °, and the rotations."""
+def plan(given: Namespace) -> list[Row]:
+    seeds = range(given.first_seed, given.first_seed + SEEDS * given.size, SEEDS)
+    fields, each = ("seed", "ratio", "damping", "exponent"), (seeds, RATIOS, DAMPINGS, EXPONENTS)
+    return [dict(zip(fields, values, strict=True)) for values in itertools.product(*each)]
+
+
+def ask(task: Row, given: Namespace) -> Row:
+    """The worst error of the shaft (°) and the rotations of each sequence, by way of planning."""
+    plain = rig(task["ratio"], task["damping"], task["exponent"])
+    seeds = range(task["seed"], task["seed"] + SEEDS)
+    if given.keep:
+        for seed in seeds:
+            name = f"ratio{task['ratio']:g}_damping{task['damping']:g}_exponent{task['exponent']:g}"
+            made = dataset(plain, load_protocol("standard"), seed, Noise(), name)
+            write_dataset(made, given.keep / f"{name}_seed{seed}")
     law = plain.friction
     falls = Stribeck(
         1.0 / law.kinetic_over_static - 1.0,
@@ -52,50 +76,34 @@ def contest(plain: TextbookNeedle, first_seed: int, seeds: int) -> str:
         weakening_deg=0.05,
         exponent=law.exponent,
     )
-    cells, medians = [], []
-    for model, name, options in (
-        (NULL.with_effects(falls), "planned", {}),
-        (NULL, "planned", {"use_hall": True}),
-        (NULL, "planned", {}),
-        (NULL, "reed2008", {}),
-    ):
+    found: dict[str, dict[str, list[float]]] = {}
+    for title, (name, options, has_law) in WAYS.items():
+        model = NULL.with_effects(falls) if has_law else NULL
         bout = Bout(NULL, NULL.torsional_rigidity_nm2, saved=SavedModel(model, "textbook"))
-        worst, rotations = [], []
-        for target, start, seed in itertools.product((45.0, -90.0), ("relaxed", "wound"), range(seeds)):
-            run = sequence(plain, bout, make_strategy(name, options), target, start, first_seed + seed)
-            worst.append(deg(run.worst_rad(rad(target))))
-            rotations.append(run.rotations)
-        medians.append(float(np.median(worst)))
-        cells.append(f"{medians[-1]:.2f} ({np.quantile(worst, 0.95):.2f}), {np.median(rotations):.0f}")
-    ratios = ", ".join(f"{median / medians[-1]:.2f}" for median in medians[:-1])
-    return " | ".join([*cells, ratios])
+        of_way = found[title] = {"worst_deg": [], "rotations": []}
+        for target, start, seed in itertools.product((45.0, -90.0), ("relaxed", "wound"), seeds):
+            run = sequence(plain, bout, make_strategy(name, options), target, start, seed)
+            of_way["worst_deg"].append(deg(run.worst_rad(rad(target))))
+            of_way["rotations"].append(run.rotations)
+    return {"ways": found}
 
 
-def numbers(text: str) -> list[float]:
-    """Numbers with commas between them."""
-    return [float(part) for part in text.split(",")]
+def table(rows: list[Row], _: Namespace) -> str:
+    """Medians (95 % quantiles) of the worst error of the shaft in °, and the rotations."""
+    heads, lines = ["υ_k/υ_s", "damping", "δ", "first of two seeds"], []
+    for row in answered(rows):
+        cells = [row["ratio"], row["damping"], row["exponent"], row["seed"]]
+        medians: list[float] = []
+        for of_way in row["ways"].values():
+            worst, rotations = of_way["worst_deg"], np.median(of_way["rotations"])
+            medians.append(float(np.median(worst)))
+            cells.append(f"{medians[-1]:.2f} ({np.quantile(worst, 0.95):.2f}), {rotations:.0f}")
+        lines.append([*cells, ", ".join(f"{median / medians[-1]:.2f}" for median in medians[:-1])])
+    return markdown([*heads, *WAYS, "ratios to reed2008"], lines)
 
 
-def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    options.add_argument("what", choices=("sets", "contest"))
-    options.add_argument("--ratio", type=numbers, default=[0.5, 0.8])
-    options.add_argument("--damping", type=numbers, default=[0.01])
-    options.add_argument("--exponent", type=numbers, default=[1.0])
-    options.add_argument("--seeds", type=numbers, default=[1.0])
-    options.add_argument("--out", type=Path, default=Path())
-    given = options.parse_args()
-    for ratio, damping, exponent in itertools.product(given.ratio, given.damping, given.exponent):
-        plain, name = rig(ratio, damping, exponent), f"ratio{ratio:g}_damping{damping:g}_exponent{exponent:g}"
-        for seed in map(int, given.seeds):
-            if given.what == "sets":
-                made = dataset(plain, load_protocol("standard"), seed, Noise(), name)
-                write_dataset(made, given.out / f"{name}_seed{seed}")
-                print(given.out / f"{name}_seed{seed}", flush=True)
-            else:
-                law = f"{ratio:g} | {damping:g} | {exponent:g} | {seed}, {seed + 1}"
-                print(f"| {law} | {contest(plain, seed, 2)} |", flush=True)
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--keep", type=Path, help="folder for datasets of the task's needle and seeds")
 
 
-if __name__ == "__main__":
-    main()
+CAMPAIGN = Campaign(__doc__, plan, ask, table, 2, "pairs of seeds of each needle (2)", options)

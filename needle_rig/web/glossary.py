@@ -61,5 +61,6 @@ def _anchor(words: str) -> str:
 def _inline(text: str) -> str:
     shown = html.escape(text)
     shown = re.sub(r"\[([^\]]+)\]\([^)]*\)", r"\1", shown)
+    shown = re.sub(r"([θτ])_(\w+)", r"\1<sub>\2</sub>", shown)
     shown = re.sub(r"`([^`]+)`", r"<code>\1</code>", shown)
     return re.sub(r"\*([^*]+)\*", r"<em>\1</em>", shown)

@@ -32,7 +32,7 @@ from needle_rig.web.desk import Desk
 from needle_rig.web.estimate import shaft_estimate
 from needle_rig.web.expecting import Expecting
 from needle_rig.web.glossary import glossary_html
-from needle_rig.web.guard import LOOPBACK, SESSION, WATCHED_JOBS, WATCHES, Guard, Keys, Session
+from needle_rig.web.guard import LOOPBACK, SESSION, WATCHED_JOBS, WATCHES, Guard, Keys, Session, over_tls
 from needle_rig.web.jobs import Jobs
 from needle_rig.web.live import STOP_BYTES, live
 from needle_rig.web.resident import Resident
@@ -259,7 +259,8 @@ class Page:
         if request.method == "GET":
             return JSONResponse({"watches": given.watches})
         answer = JSONResponse({"page": given.page, "watches": given.watches})
-        answer.set_cookie(given.cookie_name, given.cookie, httponly=True, samesite="strict")
+        tls = over_tls(request.headers)
+        answer.set_cookie(given.cookie_name, given.cookie, httponly=True, samesite="strict", secure=tls)
         return answer
 
     async def watch(self, _: Request) -> Response:

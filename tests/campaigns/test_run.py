@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
+from campaigns import ROOT
 from campaigns import run as runner
 from campaigns.command import by_name, runnable
 from campaigns.run import Campaign, Row, answered, policy, read_rows, run
@@ -98,6 +100,17 @@ def test_every_campaign_and_benchmark_has_a_name_of_its_own() -> None:
     names = [*runnable("campaigns"), *runnable("benchmarks")]
     assert len(set(names)) == len(names)
     assert {"diagnosis_table", "hazards", "import_files", "bench"} <= set(names)
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", sorted(runnable("campaigns")))
+def test_a_campaign_without_rows_has_a_table_and_breaks_no_promise(name: str) -> None:
+    if name == "api_fuzz":
+        pytest.importorskip("schemathesis")
+    place = runnable("campaigns")[name].relative_to(ROOT).with_suffix("")
+    campaign: Campaign = importlib.import_module(".".join(place.parts)).CAMPAIGN
+    assert isinstance(campaign.table([], runner._parsed(name, campaign, [])), str)
+    assert not campaign.failed([])
 
 
 def test_a_name_that_is_unknown_is_told_the_others(capsys: pytest.CaptureFixture[str]) -> None:

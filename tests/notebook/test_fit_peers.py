@@ -41,20 +41,13 @@ def test_every_way_finds_the_truth_where_the_trials_are_alike(way: fit_ways.Way,
 
 
 def test_the_table_tells_a_small_plus_minus_and_a_missed_truth() -> None:
-    way, truth = fit_ways.WAYS[0], fit_peers.TRUTH
+    truth = fit_peers.TRUTH
     ends = np.stack([0.9 * truth, 1.1 * truth], axis=1)
     ends[2] = 2.0 * truth[2]
-    said = fit_ways.Said(1.01 * truth, 0.005 * truth, ends, 1.0, "")
-    rows = [
-        fit_peers.Answer(case, each, said, 0.5)
-        for case in fit_peers.CASES
-        for each in fit_ways.WAYS
-        for _ in range(2)
-    ]
-    line = fit_peers.coverage(rows)[2]
-    assert line.startswith(
-        f"| white noise | {way.name} | 2.0 | 2.0 | 2.0 | 67 % | 1.000 | 1.000 | 1.000 | 0.5"
-    )
+    said = {"values": 1.01 * truth, "sigmas": 0.005 * truth, "intervals": ends, "processor_s": 0.5}
+    row = {"case": "white noise", "said": {way.name: said for way in fit_ways.WAYS}}
+    line = fit_peers.coverage([row, row]).splitlines()[2]
+    assert line.startswith("| white noise | needle-rig | 2.0 | 2.0 | 2.0 | 67 % | 1.000 | 1.000 | 1.000 |")
 
 
 def test_what_is_typed_is_counted_without_empty_lines() -> None:

@@ -2,38 +2,41 @@
 
 from __future__ import annotations
 
-import re
+import json
 import subprocess
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
 from campaigns import ROOT
+from campaigns.files import fuzz_files
 
-SHARE = 0.008
+SAMPLE = """
+import json, os, pathlib, sys
+from argparse import Namespace
+from campaigns.files import fuzz_files
+work = pathlib.Path(sys.argv[1])
+os.chdir(work)
+sys.path[0] = str(fuzz_files.ROOT)
+seeds = fuzz_files.made_seeds(work)
+tasks = fuzz_files.plan(Namespace(size=1, first_seed=7))
+print(json.dumps([task | fuzz_files.fuzzed(task, seeds, work, work / "bad") for task in tasks]))
+"""
 
 
 @pytest.mark.whole
 def test_a_sample_of_damaged_files_ends_commands_in_order(tmp_path: Path) -> None:
-    line = [
-        sys.executable,
-        "-m",
-        "campaigns",
-        "fuzz_files",
-        "--share",
-        str(SHARE),
-        "--seed",
-        "7",
-        "--keep",
-        str(tmp_path / "bad"),
-    ]
+    line = [sys.executable, "-c", SAMPLE, str(tmp_path)]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False, timeout=280)
     assert done.returncode == 0, done.stdout + done.stderr
-    rows = [re.split(r"\s{2,}", row) for row in done.stdout.splitlines()[1:]]
-    assert len(rows) == 14
-    assert sum(int(row[1]) for row in rows) >= 30
-    refused, read = sum(int(row[5]) for row in rows), sum(int(row[3]) for row in rows)
+    rows = json.loads(done.stdout)
+    assert not fuzz_files.failed(rows), [row["bad"] for row in rows]
+    lines = fuzz_files.table(rows, Namespace()).splitlines()
+    assert len(lines) == len(rows) + 2 == 16
+    assert sum(row["mutations"] for row in rows) >= 30
+    refused, read = (sum(row["codes"].get(code, 0) for row in rows) for code in "20")
     assert refused > 10, "the damage is noticed"
     assert read > 10, "and files that are still whole are read"
 

@@ -1,7 +1,7 @@
 import dataclasses
 import tempfile
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,10 @@ from tests.web.served import Served
 from tests.workbench.hidden import PROTOCOL
 
 
-def started(shell: Shell, *arguments: str) -> Iterator[Served]:
-    """The page of these arguments, ended at the end with all of its processes."""
+def started(shell: Shell, *arguments: str, before: Sequence[str] = ()) -> Iterator[Served]:
+    """The page of these arguments, behind the command `before`, ended at the end with all its processes."""
     own = dataclasses.replace(shell, mark=uuid.uuid4().hex)
-    with own.start("web", *arguments) as process:
+    with own.start("web", *arguments, before=before) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
         assert "the page: " in line, process.communicate()[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -66,6 +67,61 @@ def test_the_circle_closes_from_an_empty_folder_with_a_reload_between_any_two_st
     page.goto(f"{fresh.base}/#/data")
     page.get_by_role("button", name="Try it with example data").click()
     page.wait_for_url(re.compile("#/data/example$"))
+
+
+@pytest.mark.real_time
+def test_the_circle_closes_with_a_reload_while_each_work_and_the_run_goes_on(
+    visit: Open, shell: Shell, tmp_path: Path
+) -> None:
+    for served in started(shell, "--rig", "simulated", "--dir", str(tmp_path)):
+        page = visit("data", served=served)
+        page.set_default_timeout(120_000)
+        page.get_by_role("button", name="Try it with example data").click()
+        reloaded_while(page, served, "example")
+        page.get_by_role("link", name="Show the result").click()
+        page.wait_for_selector(".map td button")
+        page.get_by_role("button", name="Diagnose quickly").click()
+        reloaded_while(page, served, "diagnose")
+        page.locator(".verdict").wait_for()
+        page.get_by_role("button", name="Add tissue elasticity").click()
+        reloaded_while(page, served, "adopt")
+        page.get_by_role("link", name="Show the result").click()
+        page.get_by_role("heading", name="4 · The error falls").wait_for()
+        # each was computed once
+        made = [job["kind"] for job in served.ask("GET", "/api/jobs").json()["jobs"]]
+        assert sorted(made) == ["adopt", "compare", "compare", "diagnose", "example"]
+        page.get_by_role("link", name="Use this model on the rig").click()
+        page.wait_for_selector(".shaft .curve")
+        page.get_by_role("button", name="Compensate", exact=True).click()
+        page.locator(".steps .now").wait_for()
+        reloaded(page, ".steps .now")
+        assert page.locator(".ended").count() == 0
+        page.get_by_text("expected by").first.wait_for()
+        expect(page.get_by_label("Strategy")).to_have_value("planned")
+        aligned(page)
+        reloaded(page, ".ended")
+        aligned(page)
+        page.get_by_role("link", name="This run", exact=True).click()
+        page.get_by_role("heading", name="Torque against angle").wait_for()
+        page.go_back()
+        page.get_by_role("link", name="Diagnose this run").click()
+        page.wait_for_selector(".map td button")
+
+
+def aligned(page: Any) -> None:
+    """The run has ended, with an aligned needle, and the model held."""
+    page.locator(".ended").wait_for()
+    assert ": aligned" in page.locator(".ended").inner_text()
+    assert page.locator(".alarm").inner_text() == ""
+
+
+def reloaded_while(page: Any, served: Served, kind: str) -> None:
+    """Load the page anew while this work goes on; it is shown there, too."""
+    page.get_by_role("region", name="Work").get_by_role("button", name="Cancel").wait_for()
+    page.reload()
+    jobs = served.ask("GET", "/api/jobs").json()["jobs"]
+    assert [job["state"] for job in jobs if job["kind"] == kind] == ["running"]
+    page.get_by_role("region", name="Work").get_by_role("button", name="Cancel").wait_for()
 
 
 def reloaded(page: Any, wanted: str) -> None:

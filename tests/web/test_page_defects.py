@@ -51,7 +51,29 @@ def test_a_drive_that_waits_is_not_told_as_a_fault(visit: Open, shell: Shell, tm
         drive = page.locator(".readings div", has_text="drive")
         expect(drive).to_have_text("drivewaits for the first order")
         page.get_by_role("button", name="Jog", exact=True).click()
-        expect(drive).to_have_text(re.compile("drive(ready|running)"), timeout=30_000)
+        # simulated time stands still after the jog, and with it the drive's word for the jog's command
+        expect(page.locator(".phase")).to_have_text("done", timeout=30_000)
+        expect(drive).to_have_text("driveat rest")
+        page.get_by_role("button", name="Hold", exact=True).click()
+        expect(drive).to_have_text("driveholds the base")
+        expect(page.locator(".phase")).to_have_text(re.compile("holds the base · waits for a release"))
+        assert page.locator("progress").count() == 0
+        page.get_by_role("button", name="Release", exact=True).click()
+        page.get_by_text("The base is released.").wait_for()
+
+
+@pytest.mark.real_time
+def test_a_drive_of_a_rig_in_real_time_says_when_it_turns_the_base(
+    visit: Open, shell: Shell, tmp_path: Path
+) -> None:
+    for served in started(shell, "--rig", "simulated", "--dir", str(tmp_path)):
+        page = visit("live", served=served)
+        drive = page.locator(".readings div", has_text="drive")
+        expect(drive).to_have_text("drivewaits for the first order")
+        page.get_by_label("Jog by").fill("90")
+        page.get_by_role("button", name="Jog", exact=True).click()
+        expect(drive).to_have_text("driveturns the base")
+        expect(drive).to_have_text("driveready", timeout=30_000)
 
 
 def test_the_focus_stays_on_the_button_that_was_pressed(visit: Open, rig: Served) -> None:
@@ -75,6 +97,22 @@ def test_the_shafts_letters_stay_readable_when_the_window_becomes_narrow(visit: 
         "all => all.map((t) => t.getBoundingClientRect().height)"
     )
     assert min(heights) >= 11.0
+
+
+def test_a_phone_shows_every_view_and_the_whole_of_a_run_without_scrolling_sideways(
+    visit: Open, rig: Served
+) -> None:
+    page = visit("live", served=rig)
+    compensated(page)
+    page.set_viewport_size(NARROW)
+    page.goto(f"{rig.base}/#/runs")
+    page.locator("tbody th a").first.wait_for()
+    row = page.locator("tbody tr").first
+    parts = [row.locator("input"), row.get_by_text("aligned"), row.locator("[data-label='duration / s']")]
+    for part in (*page.locator("nav a").all(), *parts):
+        box = part.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= NARROW["width"], part.inner_text()
 
 
 def test_two_tabs_keep_each_others_note_and_tags_and_a_refused_note_stays_written(

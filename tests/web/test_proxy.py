@@ -20,6 +20,7 @@ from websockets.typing import Subprotocol
 from needle_rig.web.uploads import FILE_BYTES
 from tests.closed_loop.shell import ROOT, Shell
 from tests.web.conftest import started
+from tests.web.looking import CHROMIUM
 from tests.web.served import Served
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
@@ -115,7 +116,8 @@ def test_the_page_and_its_session_come_through(ask: Callable[..., httpx.Response
     assert "<title>" in ask("GET", "/").text
     opened = ask("POST", "/api/session")
     assert opened.json()["watches"] is False
-    assert "httponly" in opened.headers["set-cookie"].lower()
+    flags = opened.headers["set-cookie"].lower().split("; ")
+    assert {"httponly", "secure", "samesite=strict"} <= set(flags)
 
 
 def test_another_name_is_refused_with_one_sentence(ask: Callable[..., httpx.Response]) -> None:
@@ -157,3 +159,26 @@ def test_what_the_rig_does_and_a_stop_go_over_the_websocket(proxied: Proxied) ->
             pass
     assert told["key"] == 7
     assert "daemon" in told["error"]  # none runs here
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+def test_a_browser_keeps_the_cookie_for_tls_and_a_second_tab_is_let_in_by_it(proxied: Proxied) -> None:
+    playwright = pytest.importorskip("playwright.sync_api")
+    served, port = proxied
+    base = f"https://{NAME}:{port}"
+    with playwright.sync_playwright() as started_:
+        arguments = ["--no-sandbox", f"--host-resolver-rules=MAP {NAME} 127.0.0.1"]
+        browser = started_.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        context = browser.new_context(ignore_https_errors=True)
+        page = context.new_page()
+        page.goto(f"{base}/#token={served.token}")
+        page.get_by_role("heading", name="No rig").wait_for()
+        page.wait_for_function("localStorage.getItem('needle-rig-page')")
+        (cookie,) = context.cookies(base)
+        assert (cookie["secure"], cookie["httpOnly"], cookie["sameSite"]) == (True, True, "Strict")
+        assert context.cookies(f"http://{NAME}:{port}") == []
+        second = context.new_page()
+        second.goto(f"{base}/#/runs")
+        second.get_by_text("Nothing is recorded yet").wait_for()
+        browser.close()

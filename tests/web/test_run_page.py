@@ -73,6 +73,7 @@ def test_a_run_is_read_on_its_own_page(visit: Open, pages: Served, folder: Path)
     table = list(csv.reader(io.StringIO(saved(page, f"{name}-torque-residual", "CSV").decode())))
     assert table[0] == ["time / s", "model: residual / σ"]
     assert len(table) > 100
+    assert table[1][1], "what was turned before the record is not drawn"
     numbers = [float(row[1]) for row in table[1:] if row[1]]
     assert max(map(abs, numbers)) > 3, "elastic tissue is not rigid"
     look_at(page, "run-page-with-model")
@@ -141,7 +142,8 @@ def test_a_run_is_deleted_after_a_second_word(visit: Open, pages: Served, folder
     page.get_by_role("button", name="Delete …").click()
     page.get_by_role("button", name="Delete", exact=True).click()
     page.wait_for_url(re.compile("#/runs$"))
-    expect(page.get_by_role("link", name=name)).to_have_count(0)
+    # on a busy machine the header still says that its traces are read
+    expect(page.locator("main").get_by_role("link", name=name)).to_have_count(0)
     assert not list(folder.glob(f"{name}.*"))
     for gone in (name, "..%2Fown_page", ".page"):
         assert pages.ask("DELETE", f"/api/runs/{gone}").status_code in (404, 405, 422)

@@ -93,9 +93,9 @@ def test_a_run_is_read_once_until_its_file_changes(
     assert sources.run_documents(Listed())["runs"] == []
 
 
-@pytest.mark.whole
-def test_twenty_thousand_runs_are_listed_within_a_second(tmp_path: Path) -> None:
-    (tmp_path / "runs").mkdir()
+def recorded(runs: Path, store: Store) -> None:
+    """Many runs, known to `store` as a server left them that ended."""
+    runs.mkdir(exist_ok=True)
     known = {
         "simulated": True,
         "started_utc": "2026-01-01T00:00:00Z",
@@ -108,10 +108,9 @@ def test_twenty_thousand_runs_are_listed_within_a_second(tmp_path: Path) -> None
     }
     names = [f"run_{k:05d}" for k in range(MANY)]
     for name in names:
-        (tmp_path / "runs" / f"{name}.h5").write_bytes(b"no run")
-    store = Store(tmp_path)
-    stamps = changed_in(tmp_path / "runs")
-    # as a server left them that ended; the files themselves are read once, in the background
+        (runs / f"{name}.h5").write_bytes(b"no run")
+    stamps = changed_in(runs)
+    # the files themselves are read once, in the background
     store.keep_runs(
         {
             name: (f"{READ_AS}:{ns:020d}:{size}", {"name": name, **known})
@@ -119,6 +118,12 @@ def test_twenty_thousand_runs_are_listed_within_a_second(tmp_path: Path) -> None
         },
         [],
     )
+
+
+@pytest.mark.whole
+def test_twenty_thousand_runs_are_listed_within_a_second(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    recorded(tmp_path / "runs", store)
     many = Sources([], tmp_path / "runs", Uploads(tmp_path / "uploads"), RunIndex(store))
     begun_s = time.process_time()
     found = many.run_documents(Listed(filter="aligned", by="name", start=MANY - 50))

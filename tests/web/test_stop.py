@@ -213,6 +213,19 @@ def test_a_stop_that_the_daemon_does_not_confirm_is_said_large_within_a_second(
 
 
 @in_browser
+@pytest.mark.parametrize("crowd", CROWDS, ids=lambda crowd: crowd.__name__)
+def test_a_crowd_keeps_no_stop_of_the_pages_button_off(visit: Open, rig_server: Served, crowd: Crowd) -> None:
+    page = visit("live", served=rig_server)
+    page.wait_for_selector(".live:not(.grey)")
+    with crowd(rig_server):
+        page.get_by_role("button", name="Stop", exact=True).click()
+        page.wait_for_selector(".stopped.confirmed", timeout=5000)
+        said = re.search(r"confirmed after ([\d.]+) s", page.locator(".stopped").inner_text())
+        assert said is not None
+        assert float(said[1]) < STOP_S
+
+
+@in_browser
 @pytest.mark.parametrize("left", ["websocket", "request"])
 def test_either_way_alone_brings_the_stop_and_its_confirmation(
     visit: Open, rig_server: Served, left: str

@@ -125,6 +125,26 @@ def test_a_name_that_was_allowed_is_answered(watched: Served, host: str) -> None
     assert watched.ask("GET", "/api/session", headers | {"origin": "https://evil.example"}).status_code == 403
 
 
+@pytest.mark.parametrize(
+    ("host", "origin", "secure"),
+    [
+        (PROXY, f"https://{PROXY}", True),
+        (PROXY, f"http://{PROXY}", False),
+        ("tunnel:9000", "http://tunnel:9000", False),
+        (PROXY, None, False),
+    ],
+)
+def test_the_cookie_is_for_tls_alone_where_the_browser_came_by_it(
+    watched: Served, host: str, origin: str | None, secure: bool
+) -> None:
+    # what anybody may write into a header of a proxy counts for nothing
+    headers = watched.authorised | {"host": host, "x-forwarded-proto": "http" if secure else "https"}
+    answer = watched.ask("POST", "/api/session", headers | ({} if origin is None else {"origin": origin}))
+    assert answer.status_code == 200
+    flags = answer.headers["set-cookie"].lower().split("; ")
+    assert ("secure" in flags, "httponly" in flags) == (secure, True)
+
+
 @pytest.mark.parametrize("host", ["tunnel", "tunnel:9001", "rig.example.org.", "evil.example"])
 def test_another_name_is_refused_as_before(watched: Served, host: str) -> None:
     assert watched.ask("GET", "/api/session", watched.authorised | {"host": host}).status_code == 421

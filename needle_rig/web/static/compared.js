@@ -1,6 +1,6 @@
 // A model held against data: errors by channel and values, as they stand and refitted; what is held; figures.
 import { picture, save } from "./net.js";
-import { html, number, parameter, signal, ticked, words, written as field } from "./ui.js";
+import { html, number, parameter, sentence, signal, ticked, words, written as field } from "./ui.js";
 
 /** @typedef {import("./types").CompareResult} Found */
 /** A number of a document: infinity is a text. @typedef {number | string | null} Told */
@@ -54,9 +54,6 @@ export function Values({ found }) {
         ${own ? html`<${Apart} sigmas=${p.sigmas} />` : null}${pulled ? html`<${Apart} sigmas=${p.pull_sigma} />` : null}</tr>`)}</tbody></table></div>
     ${found.own.map((/** @type {string} */ s) => html`<p class="quiet">${sentence(s)}.</p>`)}`;
 }
-
-/** @param {string} text */
-const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 /** The table by channel, or by reported value; a narrow page leaves the noise out, which the ratio tells.
  * @param {{found: Found}} props */

@@ -2,7 +2,7 @@
 import { ask } from "./net.js";
 import { Legend, Plot, line } from "./plot.js";
 import { about, heldData, place, refuse, route } from "./store.js";
-import { batch, effect, html, signal, significant, number, untracked, useEffect, words, written, prose } from "./ui.js";
+import { batch, effect, html, signal, significant, number, untracked, useEffect, typeset, words, written } from "./ui.js";
 
 /** @typedef {import("./types").EffectDocument} Effect */
 /** @type {{value: Effect[] | null}} */
@@ -88,7 +88,7 @@ export function Effects() {
     <div class="side"><section class="card"><h2>Effects</h2>
       ${effects.value ? html`<ul class="list">${effects.value.map((e) => html`<li><a aria-current=${e.name === effect?.name ? "true" : undefined} title=${e.first} href=${route("effects", e.name)}>${words(e.name)}</a></li>`)}</ul>` : html`<p class="quiet">Loading; the first time the solver is compiled.</p>`}
       ${broken.value.length ? html`<div role="alert"><p class="lacks">Cannot be used, until mended:</p><ul aria-label="Broken effects">${broken.value.map((text) => html`<li>${text}</li>`)}</ul></div>` : null}</section>
-    ${effect ? html`<div><section class="card"><h2>${words(effect.name)}</h2>${effect.text.split(/\n\s*\n/).map((part) => (/^ {2}/m.test(part) ? html`<pre class="law">${part}</pre>` : html`<p>${prose(part.replaceAll("\n", " "))}</p>`))}
+    ${effect ? html`<div><section class="card"><h2>${words(effect.name)}</h2>${effect.text.split(/\n\s*\n/).map((part) => (/^ {2}/m.test(part) ? html`<pre class="law">${part}</pre>` : html`<p>${typeset(part.replaceAll("\n", " "))}</p>`))}
       ${effect.relatives.length ? html`<p class="quiet">Looks like: ${effect.relatives.map(words).join(", ")}.</p>` : null}
       ${effect.redundant_with.length ? html`<p class="quiet">Cannot be told apart from: ${effect.redundant_with.map(words).join(", ")}.</p>` : null}
       <label>On the shaft of <select value=${shaft.value} onChange=${(/** @type {Event} */ e) => { shaft.value = written(e); redraw(); }}>

@@ -19,7 +19,8 @@ export function hear(told) {
   }
   /** @param {number[][]} old @param {number[][]} now */
   const more = (old, now) => now.map((values, k) => (old[k] ?? []).concat(values));
-  const past = before ? { time_s: before.past.time_s.concat(told.time_s), mean: more(before.past.mean, told.mean), deviation: more(before.past.deviation, told.deviation) } : told;
+  // a piece without a time, as the last one of a run, has no channels either
+  const past = before && !told.time_s.length ? before.past : before ? { time_s: before.past.time_s.concat(told.time_s), mean: more(before.past.mean, told.mean), deviation: more(before.past.deviation, told.deviation) } : told;
   // the first time that a channel leaves the band is said until the next run
   const left = [...(before?.left ?? [])];
   told.off.forEach((off, k) => {

@@ -27,7 +27,7 @@ const KINDS = {
   learn: "Learn the law of", strategies: "Strategies", guess: "Assign columns of", import: "Import", figure: "Draw", report: "Write the report on", chart: "Draw a chart", open: "Open model", show: "Show", export: "Export", example: "Example data", watch: "Look at new runs",
 };
 /** Kinds whose end is worth a word in every view; the others are seen where they were asked. */
-const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import", "watch"];
+const TOLD = ["diagnose", "learn", "strategies", "adopt", "add_effect", "take_values", "import", "example", "watch"];
 /** Kinds after which there is more to choose. */
 const MAKING = ["adopt", "add_effect", "undo", "take_values", "open", "import", "example"];
 
@@ -49,7 +49,9 @@ async function follow() {
 function heard(now) {
   const before = new Map(jobs.value.map((job) => [job.key, job]));
   if (JSON.stringify(now) !== JSON.stringify(jobs.value)) jobs.value = now;
-  const made = now.some((job) => !alive(job) && MAKING.includes(job.kind) && before.has(job.key) && alive(/** @type {Job} */ (before.get(job.key))));
+  const ran = (/** @type {Job | undefined} */ job) => !job || alive(job);
+  // at the first word after a reload, too: one may have ended since what can be chosen was asked
+  const made = now.some((job) => !alive(job) && MAKING.includes(job.kind) && ran(before.get(job.key)));
   if (made) look();
   for (const job of now.filter((one) => !alive(one))) {
     waiting.get(job.key)?.(job);

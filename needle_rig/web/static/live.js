@@ -6,11 +6,13 @@ import { Legend, Plot, edges, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
 import { answered, moveOn, sendOn } from "./stop.js";
-import { batch, html, number, signal, useEffect, useSignal, words, written, prose } from "./ui.js";
+import { batch, html, number, sentence, signal, useEffect, useSignal, typeset, words, written } from "./ui.js";
 
 const SILENT_MS = 800;
 const AGAIN_MS = 300;
 const SHOWN_S = 40;
+/** So far a document of a change may be ahead of the states, which come at their own rate. */
+const OVERTAKEN_S = 2;
 /** Of what is expected, after now. */
 const AHEAD_S = 8;
 /** As the page's server takes the lease. */
@@ -134,10 +136,10 @@ function collect(state) {
   const { sensors, time_s } = state;
   if (!sensors || time_s === null) return;
   const row = [time_s, sensors.base_deg, sensors.torque_nmm, ...sensors.hall_deg];
-  const last = columns[0]?.at(-1);
-  if (columns.length !== row.length || (last !== undefined && (time_s < last || time_s - last > SHOWN_S)))
-    columns = row.map(() => []);
-  if (columns[0].at(-1) === time_s) return;
+  const last = columns[0]?.at(-1) ?? time_s;
+  // a time that goes back by more than documents overtake each other is that of another daemon
+  if (columns.length !== row.length || time_s < last - OVERTAKEN_S || time_s - last > SHOWN_S) columns = row.map(() => []);
+  if (columns[0].length && time_s <= last) return;
   columns.forEach((column, k) => column.push(/** @type {number} */ (row[k])));
   let old = 0;
   while (columns[0][old] < time_s - SHOWN_S) old += 1;
@@ -180,12 +182,14 @@ function Charts({ state }) {
   const expects = (/** @type {string} */ name, /** @type {string} */ colour) => [line(`${name} expected`, colour, { dash: [5, 4] }), ...edges(`${name} expected`)];
   const angles = [...shown, ...halls.flatMap((/** @type {string} */ name, /** @type {number} */ k) => expects(`hall ${k + 1}`, name))];
   const first = shown.length + 2;
+  // one reading is no trace: time of a simulated rig stands still until the next order
+  const none = traces.value.angles[0].length < 2 ? html`<p class="quiet nothing">Drawn from the next motion on.</p>` : null;
   return html`<section class="card half"><h2>Angles</h2><${Legend} series=${shown} band=${told} />
       <${Plot} name="live-angles" label="Angles of the base and the Hall sensors over the last 40 seconds" unit="angle / °" time="time before now / s" least=${4} range=${range} height=${230}
-        series=${angles} bands=${halls.map((/** @type {string} */ _, /** @type {number} */ k) => [first + 3 * k, first + 3 * k + 1])} data=${traces.value.angles} /></section>
+        series=${angles} bands=${halls.map((/** @type {string} */ _, /** @type {number} */ k) => [first + 3 * k, first + 3 * k + 1])} data=${traces.value.angles} />${none}</section>
     <section class="card half"><h2>Torque at the base</h2><${Legend} series=${[line("torque", "--c0")]} band=${told} />
       <${Plot} name="live-torque" label="Torque at the base over the last 40 seconds" unit="torque / N·mm" time="time before now / s" least=${0.02} range=${range} height=${230}
-        series=${[line("torque", "--c0"), ...expects("torque", "--c0")]} bands=${[[3, 4]]} data=${traces.value.torque} /></section>`;
+        series=${[line("torque", "--c0"), ...expects("torque", "--c0")]} bands=${[[3, 4]]} data=${traces.value.torque} />${none}</section>`;
 }
 
 /** @param {{state: State}} props */
@@ -210,7 +214,7 @@ const nameOf = (path) => path.replace(/^.*\//, "").replace(/\.h5$/, "");
 const COMMAND = /: needle-rig diagnose \S+/;
 
 const PHASES = {
-  idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures",
+  idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures", holding: "holds the base",
   done: "done", fault: "fault", aborted: "stopped",
 };
 
@@ -222,19 +226,22 @@ function Sequence({ state }) {
   const steps = Array.from({ length: count }, (_, k) => {
     // the first settled entry of a run may be the rest before its first motion
     const done = settled.filter((m) => m.phase !== "rest")[k];
-    const now = active && !done && k === settled.filter((m) => m.phase !== "rest").length;
-    return { name: done?.phase ?? (now ? state.motion : `motion ${k + 1}`), done: Boolean(done), now };
+    const now = active && !done && state.phase !== "rest" && k === settled.filter((m) => m.phase !== "rest").length;
+    // while the next one is planned the daemon still tells of the one before
+    const named = now && state.motion !== settled.at(-1)?.phase ? state.motion : `motion ${k + 1}`;
+    return { name: done?.phase ?? named, done: Boolean(done), now };
   });
   const phase = /** @type {Record<string, string>} */ (PHASES)[state.phase] ?? state.phase;
   return html`<section class="card half"><h2>Sequence</h2>
-    <p class="phase"><strong>${active && state.motion ? `${words(state.motion)}: ${phase}` : phase}</strong>
+    <p class="phase"><strong>${active && state.motion && state.motion !== state.phase ? `${words(state.motion)}: ${phase}` : phase}</strong>
       ${state.waiting_for ? html` · waits for ${state.waiting_for}` : null}
       ${state.remaining_s !== null && active ? html` <span class="countdown">${number(state.remaining_s, 1)} s</span>` : null}</p>
-    ${active ? html`<progress max="1" value=${state.progress} aria-label="Progress of the sequence"></progress>` : null}
+    ${active && state.phase !== "holding" ? html`<progress max="1" value=${state.progress} aria-label="Progress of the sequence"></progress>` : null}
     ${state.target_deg !== null ? html`<p>${words(state.strategy ?? "")} to ${number(state.target_deg, 1)}°${state.model ? ` with the model ${words(state.model)}` : ""}</p>` : null}
+    ${!count && !ended.value ? html`<p class="quiet">Compensate turns the base in several motions; each is shown here while it goes.</p>` : null}
     <ol class="steps">${steps.map((step) => html`<li class=${step.done ? "done" : step.now ? "now" : ""}
       aria-current=${step.now ? "step" : undefined}>${words(step.name)}</li>`)}</ol>
-    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text.replace(COMMAND, "")}</p>
+    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text.replace(COMMAND, "").replace(/[^.]$/, "$&.")}</p>
       ${ended.value.result?.run ? html`<p class="buttons"><a class="button" href=${route("runs", nameOf(ended.value.result.run))}>This run</a> <a class=${ended.value.result.status === "not_aligned" ? "button go" : "button"} href=${dataRoute([run(nameOf(ended.value.result.run))])}>Diagnose this run</a></p>` : null}` : null}</section>`;
 }
 
@@ -254,13 +261,15 @@ function Orders({ state }) {
   const by = useSignal("10");
   const busy = Boolean(state.run) || state.moving;
   const known = about.value?.strategies ?? [];
-  const text = prose(known.find((s) => s.name === strategy.value)?.text ?? "");
+  const text = known.find((s) => s.name === strategy.value)?.text ?? "";
   // a button that was pressed keeps the focus: it is not disabled while the needle moves
   /** @param {string} name @param {object} [content] */
   const give = (name, content) => busy || order(name, content);
+  // a held base is released without a stop before it
+  const held = state.phase === "holding";
   /** @param {{value: string}} s */
   const write = (s) => (/** @type {Event} */ e) => (s.value = written(e));
-  if (watching.value) return html`<section class="card half"><h2>Orders</h2><p class="quiet">This address may watch and order nothing.${state.lease ? ` ${state.lease.charAt(0).toUpperCase()}${state.lease.slice(1)} commands this rig.` : ""}</p></section>`;
+  if (watching.value) return html`<section class="card half"><h2>Orders</h2><p class="quiet">This address may watch and order nothing.${state.lease ? ` ${sentence(state.lease)} commands this rig.` : ""}</p></section>`;
   return html`<section class="card half"><h2>Orders</h2>
     ${state.lease ? html`<p class="quiet">${state.lease === OWN_LEASE ? "You have control, until ten seconds after the last order." : `${state.lease} commands this rig.`}</p>` : null}
     <form class="orders" onSubmit=${(/** @type {Event} */ e) => { e.preventDefault(); give("compensate", { target_deg: Number(target.value), strategy: strategy.value, model: model?.key ?? null }); }}>
@@ -269,7 +278,7 @@ function Orders({ state }) {
       <label>Model <select value=${model?.name ?? ""} onChange=${(/** @type {Event} */ e) => (location.hash = route("live", "", [["model", written(e)]]))}>
         <option value="" selected=${!model}>that of the rig file</option>${all.map((m) => html`<option value=${m.name} selected=${m === model}>${words(m.name)}</option>`)}</select></label>
       <button class="go" aria-disabled=${busy}>Compensate</button>
-      ${text ? html`<p class="quiet all">${text}</p>` : null}
+      ${text ? html`<p class="quiet all">${typeset(text)}</p>` : null}
       ${model ? html`<p class="quiet all">The run plans with <a href=${route("models", model.name)}>${words(model.name)}</a> and is held against it while it goes. Nothing turns before <em>Compensate</em>.${model.name === kept ? " It is set as this rig's model." : ""}</p>` : null}
       ${wanted && about.value && !model ? html`<p class="refusal all" role="alert">${wanted}: no such model here. Choose from the list.</p>` : null}
     </form>
@@ -279,7 +288,7 @@ function Orders({ state }) {
       <button type="button" aria-disabled=${busy} onClick=${() => give("home")}>Home</button>
       <button type="button" aria-disabled=${busy} onClick=${() => give("home", { by: "hall" })}>Home by Hall</button>
       <button type="button" aria-disabled=${busy} onClick=${() => give("hold")}>Hold</button>
-      <button type="button" aria-disabled=${busy} onClick=${() => give("release")}>Release</button>
+      <button type="button" aria-disabled=${busy && !held} onClick=${() => (held ? order("release") : give("release"))}>Release</button>
       <button type="button" aria-disabled=${busy} onClick=${() => give("clear")}>Clear</button>
     </form>
     <p class="quiet">Escape stops at any time, Space while the needle moves.</p></section>`;

@@ -1,6 +1,6 @@
 // What is what in dropped recordings: the proposed mapping, line by line, to confirm or correct.
 import { Plot, line } from "./plot.js";
-import { effect, html, signal, significant, untracked, words, written } from "./ui.js";
+import { effect, html, sentence, signal, significant, untracked, words, written } from "./ui.js";
 
 /** @typedef {import("./types").Mapping} Mapping */
 /** @typedef {import("./types").GuessResult & {key: string}} Guess */
@@ -71,12 +71,16 @@ const channel = (k, more) => edit((mapping) => ({ ...mapping, channels: mapping.
 /** @param {string} name @param {object} more */
 const clock = (name, more) => edit((mapping) => ({ ...mapping, clocks: { ...mapping.clocks, [name]: { ...mapping.clocks[name], ...more } } }));
 
+/** What a mapping file calls by its keys, as the page calls it. @param {string} text */
+const onPage = (text) => words(text.replace(/; write (?:it as )?`unit`, (?:as (\w+), with|and) `scale` where .*$/, (_, as) => `; write a known one beside it${as ? `, such as ${as}` : ""}`)
+  .replace(/^(\w+) \(([^)]*)\)/, (_, role, source) => `${source}, taken as ${role}`).replaceAll("`", ""));
+
 /** A doubt with its tick. @param {{part: import("./types").LayoutPart, of: string}} props */
 function Doubt({ part, of }) {
   if (!part.doubt) return null;
   const is = confirmed.value.includes(of);
   return html`<label class="row doubt"><input type="checkbox" checked=${is}
-    onChange=${() => (confirmed.value = is ? confirmed.value.filter((o) => o !== of) : [...confirmed.value, of])} /> confirm anyway: ${part.doubt}</label>`;
+    onChange=${() => (confirmed.value = is ? confirmed.value.filter((o) => o !== of) : [...confirmed.value, of])} /> <span>confirm anyway: ${onPage(part.doubt)}</span></label>`;
 }
 
 /** The mapping of dropped recordings; `again` asks for another guess, `take` imports, `discard` removes what was dropped.
@@ -88,14 +92,14 @@ export function WhatIsWhat({ busy, sources, machines, again, take, discard }) {
   const value = written;
   return html`<section class="card wide" aria-label="What is what"><h2>1 · Data: assign the columns of ${mapping.name}</h2>
     <p>Proposed from names, units and what the channels do. Correct what is wrong; confirm what is in doubt.</p>
-    <div class="scroll" tabindex="0" role="group" aria-label="Channels"><table><thead><tr><th class="text">column</th><th class="text">is</th><th class="text">unit</th><th class="text">sign</th><th class="text">zero</th><th class="text">why</th></tr></thead>
+    <div class="scroll" tabindex="0" role="group" aria-label="Channels"><table class="stacked"><thead><tr><th class="text">column</th><th class="text">is</th><th class="text">unit</th><th class="text">sign</th><th class="text">zero</th><th class="text">why</th></tr></thead>
       <tbody>${mapping.channels.map((c, k) => html`<tr><th scope="row" class="text">${c.source}</th>
-        <td><select aria-label=${`${c.source} is`} value=${c.role} onChange=${(/** @type {Event} */ e) => channel(k, { role: value(e) })}>
+        <td data-label="is"><select aria-label=${`${c.source} is`} value=${c.role} onChange=${(/** @type {Event} */ e) => channel(k, { role: value(e) })}>
           ${[...new Set([...found.roles, c.role, NOT_USED])].map((role) => html`<option value=${role} selected=${role === c.role}>${words(role)}</option>`)}</select></td>
-        <td><input class="short" aria-label=${`Unit of ${c.source}`} value=${c.unit ?? ""} onChange=${(/** @type {Event} */ e) => channel(k, { unit: value(e) || null })} /></td>
-        <td><select aria-label=${`Sign of ${c.source}`} onChange=${(/** @type {Event} */ e) => channel(k, { sign: Number(value(e)) })}>
+        <td data-label="unit"><input class="short" aria-label=${`Unit of ${c.source}`} value=${c.unit ?? ""} onChange=${(/** @type {Event} */ e) => channel(k, { unit: value(e) || null })} /></td>
+        <td data-label="sign"><select aria-label=${`Sign of ${c.source}`} onChange=${(/** @type {Event} */ e) => channel(k, { sign: Number(value(e)) })}>
           <option value="1" selected=${c.sign > 0}>+</option><option value="-1" selected=${c.sign < 0}>−</option></select></td>
-        <td><select aria-label=${`Zero of ${c.source}`} onChange=${(/** @type {Event} */ e) => channel(k, { zero: value(e) === "start" ? "start" : Number(value(e)) })}>
+        <td data-label="zero"><select aria-label=${`Zero of ${c.source}`} onChange=${(/** @type {Event} */ e) => channel(k, { zero: value(e) === "start" ? "start" : Number(value(e)) })}>
           <option value="start" selected=${c.zero === "start"}>at the start</option><option value=${c.zero === "start" ? 0 : c.zero} selected=${c.zero !== "start"}>${c.zero === "start" ? 0 : significant(c.zero)}</option></select></td>
         <td class="text">${c.why}<${Doubt} part=${c} of=${`channel ${c.clock} ${c.source}`} /></td></tr>`)}</tbody></table></div>
     <h3>Clocks and trials</h3>
@@ -115,11 +119,11 @@ export function WhatIsWhat({ busy, sources, machines, again, take, discard }) {
         ${sources.map((s) => html`<option value=${s.key} selected=${s.key === layoutOf.value}>${s.name}</option>`)}</select></label>
       <button disabled=${busy || !layoutOf.value} onClick=${again}>Propose again with this shaft</button></div>
     ${layoutOf.value === WRITTEN ? html`<label class="all">The shaft in lines of YAML<textarea rows="8" value=${layoutText.value} onInput=${(/** @type {Event} */ e) => (layoutText.value = value(e))}></textarea></label>` : null}
-    ${mapping.layout.why ? html`<p class="quiet">${mapping.layout.why}</p>` : null}<${Doubt} part=${mapping.layout} of="layout" />
+    ${mapping.layout.why ? html`<p class="quiet">${sentence(words(mapping.layout.why))}.</p>` : null}<${Doubt} part=${mapping.layout} of="layout" />
     ${mapping.rig && (mapping.rig.lever_mm || found.lacks.some((/** @type {string} */ s) => s.startsWith("rig.lever_mm"))) ? html`<label class="row">lever of what slides, in mm <input class="short" value=${mapping.rig.lever_mm ?? ""} onChange=${(/** @type {Event} */ e) => edit((m) => ({ ...m, rig: m.rig && { ...m.rig, lever_mm: Number(value(e)) || null } }))} /></label>` : null}
-    ${found.lacks.length ? html`<ul class="lacks">${found.lacks.map((/** @type {string} */ s) => html`<li>${s}</li>`)}</ul>` : null}
+    ${found.lacks.length ? html`<ul class="lacks">${found.lacks.map((/** @type {string} */ s) => html`<li>${onPage(s)}</li>`)}</ul>` : null}
     <p class="buttons"><button class="go" disabled=${busy || !mapping.rig} onClick=${take}>Import</button>
       <button disabled=${busy} onClick=${discard}>Discard</button>${mapping.rig ? null : html` <span class="lacks">Choose a shaft above, or describe one, before importing.</span>`}</p>
     <div class="grid2">${found.shown.map((s) => html`<div><h3>${words(s.role)} <span class="quiet">${s.source}</span></h3>
-      <${Plot} name=${s.role} label=${`${s.role} from ${s.source} over time`} unit=${`${words(s.role)} / ${s.unit}`} height=${160} cursor="mapping" series=${[line(words(s.role), "--c1")]} data=${[s.time_s, s.values]} /></div>`)}</div></section>`;
+      <${Plot} name=${s.role} label=${`${s.role} from ${s.source} over time`} unit=${s.unit === "?" ? `${words(s.role)}, no unit` : `${words(s.role)} / ${s.unit}`} height=${160} cursor="mapping" series=${[line(words(s.role), "--c1")]} data=${[s.time_s, s.values]} /></div>`)}</div></section>`;
 }

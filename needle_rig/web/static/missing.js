@@ -5,7 +5,7 @@ import { LearntLaws } from "./law.js";
 import { over } from "./residuals.js";
 import { save } from "./net.js";
 import { dataRoute, look, refuse, subject } from "./store.js";
-import { html, number, parameter, signal, significant, words } from "./ui.js";
+import { html, number, parameter, sentence, signal, significant, words } from "./ui.js";
 
 const everyRow = signal(false);
 const SHOWN_ROWS = 6;
@@ -65,21 +65,21 @@ function Verdict({ found }) {
         ${found.verdict === "none" ? "" : html` <span class="quiet"> of this structure, which lacks something</span>`}</p>` : null}<h3>Its structure</h3>` : null}
     ${found.verdict === "effect" && !found.ties.length ? html`<p class="verdict">The model lacks <strong>${words(found.effects.join(" and "))}</strong>.</p>
       <p>Adding it cuts the prediction error on unseen trials from ${significant(found.held_out_error_before)} to ${significant(found.held_out_error_after)} times the sensor noise.</p>`
-      : html`<p class="verdict">${found.sentence.charAt(0).toUpperCase() + words(found.sentence.slice(1))}</p><p>${found.errors_sentence}</p>`}
+      : html`<p class="verdict">${sentence(words(found.sentence))}</p><p>${found.errors_sentence}</p>`}
     ${found.quick ? html`<p>One effect alone was looked for. <button disabled=${busy.value} onClick=${() => diagnose(false)}>Look for several</button></p>` : null}
     ${found.reasons.length ? html`<ul>${found.reasons.map((r) => html`<li>${r.sentence}</li>`)}</ul>` : null}
     <p>${choices.map((effect) => html`<button class="go" disabled=${busy.value} onClick=${() => adopt(effect ? [effect] : [])}>
       Add ${words(effect || found.effects.join(" and "))}</button> `)}</p>
     ${found.next_experiment ? html`<p><strong>Would tell them apart:</strong> ${found.next_experiment.sentence}</p>` : null}
-    <div class="scroll" tabindex="0" role="group" aria-label="Ranking"><table><thead><tr><th class="text">effect</th><th>held-out error / noise</th><th>error removed</th><th class="text">for and against</th></tr></thead>
+    <div class="scroll" tabindex="0" role="group" aria-label="Ranking"><table class="stacked"><thead><tr><th class="text">effect</th><th>held-out error / noise</th><th>error removed</th><th class="text">for and against</th></tr></thead>
       <tbody>${found.ranking.slice(0, everyRow.value ? undefined : SHOWN_ROWS).map((row) => html`<tr class=${found.effects.includes(row.effect) ? "named" : ""}>
         <th scope="row">${found.candidates[row.effect] ? html`<button aria-pressed=${over.value === row.effect}
             onMouseEnter=${() => (over.value = row.effect)} onFocus=${() => (over.value = row.effect)}
             onClick=${() => (over.value = row.effect)}>${words(row.effect)}</button>` : words(row.effect)}</th>
-        <td>${number(row.held_out_error, 2)}</td><td>${number(100 * Number(row.error_removed), 0)} %</td>
+        <td data-label="held-out error / noise">${number(row.held_out_error, 2)}</td><td data-label="error removed">${number(100 * Number(row.error_removed), 0)} %</td>
         <td class="text">${row.in_favour}${row.against ? html`; against: ${row.against}` : null}
           ${Object.entries(row.parameters).map(([name, v]) => html`<br /><span class="quiet">${parameter(name)} = ${significant(v.value)} (95 %: ${significant(v.low)} to ${significant(v.high)}) ${v.unit === "1" ? "" : v.unit}</span>`)}</td></tr>`)}</tbody></table></div>
-    ${found.ranking.length > SHOWN_ROWS ? html`<p><button aria-expanded=${everyRow.value} onClick=${() => (everyRow.value = !everyRow.value)}>${everyRow.value ? "Fewer" : `The other ${found.ranking.length - SHOWN_ROWS}`}</button></p>` : null}
+    ${found.ranking.length > SHOWN_ROWS ? html`<p><button aria-expanded=${everyRow.value} onClick=${() => (everyRow.value = !everyRow.value)}>${everyRow.value ? "Fewer" : `${found.ranking.length - SHOWN_ROWS} more`}</button></p>` : null}
     ${found.way_on ? html`<h3>How to go on</h3><ul aria-label="How to go on">${found.way_on.sentences.map((/** @type {string} */ s) => html`<li>${words(s)}</li>`)}</ul>
       ${found.way_on.part ? html`<p><button disabled=${busy.value} onClick=${() => addEffect(found.way_on?.part ?? "")}>Add ${words(found.way_on.part)}</button></p>` : null}` : null}
     ${known.value.learn ? html`<${LearntLaws} found=${known.value.learn} busy=${busy.value} add=${adoptLaw} />`

@@ -70,6 +70,9 @@ const File = ({ model }) => html`<button onClick=${() => save(`jobs/${model.key}
 /** @param {Learnt} now */
 const isKnown = (now) => now.steps.some((s) => (s.held_out_error ?? s.training_error) !== null);
 
+/** What a step of a model's history is called. @param {Step} step */
+const called = ({ step }) => (step === "null" ? "null model" : words(step));
+
 /** @param {{now: Learnt}} props */
 function Ladder({ now }) {
   const steps = now.steps;
@@ -78,11 +81,11 @@ function Ladder({ now }) {
   return html`${isKnown(now) ? html`<p>Prediction error on unseen trials, in units of the sensor noise; the line is the noise.</p>
     <div class="bars">${steps.map((step, k) => {
       const error = step.held_out_error ?? step.training_error;
-      return html`<span>${words(step.step)}</span>
+      return html`<span>${called(step)}</span>
         <svg viewBox="0 0 100 10" preserveAspectRatio="none" role="img" aria-label=${`${number(error, 2)} times the noise`}><rect class=${k ? "fill after" : "fill"} x="0" y="1" width=${(100 * (error ?? 0)) / most} height="8" /><line class="floor" x1=${100 / most} x2=${100 / most} y1="0" y2="10" vector-effect="non-scaling-stroke" /></svg>
         <strong>${number(error, 2)}</strong>`;
     })}</div>
-    <div class="scroll" tabindex="0" role="group" aria-label="Errors by channel"><table><thead><tr><th>channel</th>${steps.map((s) => html`<th>${words(s.step)}</th>`)}<th>noise floor</th></tr></thead>
+    <div class="scroll" tabindex="0" role="group" aria-label="Errors by channel"><table><thead><tr><th>channel</th>${steps.map((s) => html`<th>${called(s)}</th>`)}<th>noise floor</th></tr></thead>
       <tbody>${names.map((name) => html`<tr><th scope="row">${words(name.replace(/_(nmm|deg)$/, ""))} / ${name.endsWith("_nmm") ? "N·mm" : "°"}</th>
         ${steps.map((s) => html`<td>${significant(s.channels[name]?.held_out_after ?? s.channels[name]?.training_after)}</td>`)}
         <td>${significant(steps.at(-1)?.channels[name]?.floor)}</td></tr>`)}</tbody></table></div>` : null}
@@ -155,9 +158,9 @@ export function Models() {
   return html`<h1>Models</h1><p class="purpose">Models that were learnt in the workbench, or opened as files: compare them, and use one on the rig.</p><section class="card">
     <div class="orders"><button aria-disabled=${chosen.length !== 2} onClick=${() => chosen.length === 2 && (location.hash = route("models", "", chosen.map((one) => ["model", one])))}>Side by side</button>
       <label class="button file">Open a model file<input class="hidden" type="file" accept=".yaml,.yml" onChange=${(/** @type {Event} */ e) => take(/** @type {FileList} */ (/** @type {HTMLInputElement} */ (e.target).files))} /></label></div>
-    ${all.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Models"><table class="marked"><thead><tr><th><span class="hidden">marked</span></th><th scope="col" class="text">model</th><th scope="col" class="text">effects</th><th scope="col" class="text">learnt from</th><th scope="col" class="text">made</th></tr></thead>
+    ${all.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Models"><table class="marked stacked rows"><thead><tr><th><span class="hidden">marked</span></th><th scope="col" class="text">model</th><th scope="col" class="text">effects</th><th scope="col" class="text">learnt from</th><th scope="col" class="text">made</th></tr></thead>
       <tbody>${[...all].reverse().map((m) => html`<tr key=${m.key}><td><input type="checkbox" aria-label=${`Mark ${words(m.name)}`} checked=${chosen.includes(m.name)} onChange=${() => toggle(m.name)} /></td><th scope="row" class="text"><a href=${route("models", m.name)}>${words(m.name)}</a>${m.model ? html` <span class="quiet">from ${words(m.model.name)}</span>` : null}${about.value?.rig_model?.key === m.key ? html` <span class="tag">the rig's</span>` : null}</th>
-        <td class="text">${m.added.map(words).join(", ") || "rigid tissue"}</td><td class="text">${from(m)}</td><td class="text">${made(m)}</td></tr>`)}</tbody></table></div>`
+        <td class="text" data-label="effects">${m.added.map(words).join(", ") || "rigid tissue"}</td><td class="text" data-label="learnt from">${from(m)}</td><td class="text" data-label="made">${made(m)}</td></tr>`)}</tbody></table></div>`
       : html`<p class="quiet">None yet. <a href="#/data">Choose data in the workbench</a>, diagnose, and add what is missing.</p>`}</section>`;
 }
 

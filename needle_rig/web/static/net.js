@@ -58,8 +58,8 @@ async function sent(method, path, body, headers = {}) {
     access.value = "stale";
     throw new Error(STALE);
   }
-  // a proxy answers for a server that is gone
-  if ([502, 504].includes(response.status)) throw new Error(GONE);
+  // a proxy answers for a server that is gone, or that is too slow for it
+  if ([502, 504].includes(response.status)) throw new Error(`${GONE} Its proxy said ${response.status}.`);
   if (access.value === "stale") access.value = "in";
   return response;
 }
@@ -69,9 +69,14 @@ async function sent(method, path, body, headers = {}) {
 export async function ask(method, path, content) {
   const raw = content instanceof Blob;
   const response = await sent(method, path, content === undefined ? undefined : raw ? content : JSON.stringify(content), raw ? {} : { "Content-Type": "application/json" });
-  const answer = await response.json().catch(() => ({ error: `the server answered ${response.status}` }));
-  if (!response.ok) throw new Error(answer.error);
-  return answer;
+  if (!response.ok) throw await refusal(response);
+  return await response.json();
+}
+
+/** What a refusal says; a proxy's own page is no sentence. @param {Response} response */
+async function refusal(response) {
+  const { error } = await response.json().catch(() => ({}));
+  return new Error(error ?? `The server, or a proxy before it, answered ${response.status}. Try again, or start needle-rig web again.`);
 }
 
 /** Why nothing comes from the server. @returns {Promise<string>} */
@@ -81,18 +86,19 @@ export const whyNot = () => ask("GET", "session").then(() => "the connection bro
  * @param {string} path */
 export async function picture(path) {
   const response = await sent("GET", path);
-  if (!response.ok) throw new Error((await response.json()).error);
+  if (!response.ok) throw await refusal(response);
   return URL.createObjectURL(await response.blob());
 }
 
 /** Save a file that the server made.
  * @param {string} path @param {string} name */
 export async function save(path, name) {
+  const href = await picture(path);
   const link = document.createElement("a");
-  link.href = await picture(path);
+  link.href = href;
   link.download = name;
   link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+  setTimeout(() => URL.revokeObjectURL(href), 10_000);
 }
 
 addEventListener("hashchange", enter);

@@ -18,7 +18,7 @@ const PARTS = [
   [150, 60, "torque cell", "measures the torque at the base"],
   [285, 60, "guide", "holds the shaft straight"],
   [560, 60, "tissue", "rubs along the shaft"],
-  [820, 60, "tip", "lags behind the base"],
+  [860, 60, "tip", "lags behind the base"],
 ];
 
 /** The rig, its parts and what they do. */

@@ -11,8 +11,23 @@ import { html, number, signal, useEffect, useRef, words } from "./ui.js";
 /** A colour of the style sheet. @param {string} name */
 export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** @param {string} label @param {number} size across, px */
-export function axis(label, size) {
+/** Between the ticks of an axis, px. */
+const SPACE = 30;
+/** The same in a chart so low that it would have one tick. */
+const CLOSE = 16;
+const LOW = 150;
+/** Steps of an axis that counts. */
+const COUNTS = [1, 2, 5].flatMap((k) => [0, 1, 2, 3, 4].map((d) => k * 10 ** d)).sort((a, b) => a - b);
+
+/** Beside the numbers of an axis, and for each letter of theirs, px. */
+const BESIDE = 24;
+const LETTER = 6.5;
+/** So much room as the longest number wants, and never less than `least`, so that charts stand below each other.
+ * @param {number} least */
+const room = (least) => (/** @type {uPlot} */ _u, /** @type {string[] | null} */ values) => Math.max(least, BESIDE + LETTER * Math.max(0, ...(values ?? []).map((text) => text.length)));
+
+/** @param {string} label @param {number | ReturnType<typeof room>} size across, px @param {object} [more] */
+export function axis(label, size, more = {}) {
   return {
     label,
     labelSize: 16,
@@ -29,6 +44,7 @@ export function axis(label, size) {
     stroke: () => colour("--quiet"),
     grid: { stroke: () => colour("--line"), width: 1 },
     ticks: { stroke: () => colour("--line"), width: 1, size: 4 },
+    ...more,
   };
 }
 
@@ -91,10 +107,10 @@ const decimalsOf = (values, of) => {
 
 /** A chart that keeps its instance while only data and marked times change.
  * @param {{label: string, series: Drawn[], unit: string, data: Values[], height: number, bands?: [number, number][], level?: number,
- *   marks?: Mark[], range?: [number, number] | null, cursor?: string, time?: string, least?: number, name?: string}} props
+ *   marks?: Mark[], range?: [number, number] | null, cursor?: string, time?: string, counts?: boolean, least?: number, name?: string}} props
  *   `bands` are pairs of series (from 1): upper and lower edge; `level` shades from −level to +level; `least` is the smallest
- *   height of the drawn range, in the unit of the plot; charts with the same `cursor` share pointer and zoom; one with a `name` can be saved under it */
-export function Plot({ label, series, unit, data, height, marks, range, bands, level, cursor, time = "time / s", least = 0, name }) {
+ *   height of the drawn range, in the unit of the plot; charts with the same `cursor` share pointer and zoom; one with a `name` can be saved under it; one that `counts` has whole numbers along */
+export function Plot({ label, series, unit, data, height, marks, range, bands, level, cursor, time = "time / s", counts = false, least = 0, name }) {
   const place = useRef(/** @type {HTMLElement | null} */ (null));
   const said = useRef(/** @type {HTMLElement | null} */ (null));
   const plot = useRef(/** @type {uPlot | null} */ (null));
@@ -112,13 +128,15 @@ export function Plot({ label, series, unit, data, height, marks, range, bands, l
         width: Math.max(holder.clientWidth, 200),
         height,
         series: [{ label: time }, ...series],
-        axes: [axis(time, 26), axis(unit, 56)],
+        axes: [axis(time, 26, counts ? { incrs: COUNTS } : {}), axis(unit, room(56), { space: height < LOW ? CLOSE : SPACE })],
         scales: { x: { time: false, range: (/** @type {uPlot} */ _u, /** @type {number} */ low, /** @type {number} */ high) => latest.current.chosen ?? latest.current.range ?? [low, high] },
           y: {
             range: (/** @type {uPlot} */ _u, /** @type {number | null} */ low, /** @type {number | null} */ high) => {
               const [a, b] = [Math.min(low ?? 0, level ? -level : Infinity), Math.max(high ?? 1, level ?? -Infinity)];
-              const room = Math.max(0.06 * (b - a), (least - (b - a)) / 2, 1e-9);
-              return [a - room, b + room];
+              // values that are all the same have a scale, too
+              const flat = b > a || least ? 0 : Math.abs(b) / 20 || 1;
+              const spare = Math.max(0.06 * (b - a), (least - (b - a)) / 2, flat);
+              return [a - spare, b + spare];
             },
           },
         },
@@ -145,9 +163,9 @@ export function Plot({ label, series, unit, data, height, marks, range, bands, l
               const { ctx } = u;
               ctx.fillStyle = colour("--shade");
               for (const [k, mark] of (latest.current.marks ?? []).entries()) {
-                const from = u.valToPos(mark.start_s, "x", true);
-                const to = u.valToPos(mark.end_s ?? mark.start_s, "x", true);
-                if (k % 2 === 0 && to > from) ctx.fillRect(Math.max(from, u.bbox.left), u.bbox.top, Math.min(to, u.bbox.left + u.bbox.width) - Math.max(from, u.bbox.left), u.bbox.height);
+                const from = Math.max(u.valToPos(mark.start_s, "x", true), u.bbox.left);
+                const to = Math.min(u.valToPos(mark.end_s ?? mark.start_s, "x", true), u.bbox.left + u.bbox.width);
+                if (k % 2 === 0 && to > from) ctx.fillRect(from, u.bbox.top, to - from, u.bbox.height);
               }
               if (level) {
                 ctx.fillStyle = colour("--band");
@@ -192,8 +210,8 @@ export function Curve({ label, series, x, y, data, height, name }) {
     const span = (values) => {
       let [low, high] = [Infinity, -Infinity];
       for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
-      const room = Math.max(0.05 * (high - low), 1e-6);
-      return [low - room, high + room];
+      const spare = Math.max(0.05 * (high - low), 1e-6);
+      return [low - spare, high + spare];
     };
     const [xs, ys] = all.map(span);
     const drawn = (/** @type {uPlot} */ u, /** @type {number} */ k) => {
@@ -219,7 +237,7 @@ export function Curve({ label, series, x, y, data, height, name }) {
         width: Math.max(holder.clientWidth, 200),
         height,
         series: [{}, ...series.map((s) => ({ ...s, paths: drawn, facets: [{ scale: "x", auto: false }, { scale: "y", auto: false }] }))],
-        axes: [axis(x, 26), axis(y, 56)],
+        axes: [axis(x, 26), axis(y, room(56))],
         scales: { x: { time: false, range: () => xs }, y: { range: () => ys } },
         legend: { show: false },
         cursor: { drag: { x: false, y: false }, points: { show: false }, dataIdx: () => null },

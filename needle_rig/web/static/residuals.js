@@ -4,7 +4,7 @@ import { asked, busy, found as known, ofSubject } from "./found.js";
 import { alive, done, result } from "./jobs.js";
 import { zoom } from "./plot.js";
 import { refuse, subject } from "./store.js";
-import { Loop, Traced } from "./traced.js";
+import { Loop, Traced, recorded } from "./traced.js";
 import { computed, effect, html, number, signal, untracked, words } from "./ui.js";
 
 /** @typedef {import("./types").CompareResult} Found */
@@ -117,8 +117,9 @@ function ResidualMap({ found }) {
 /** @param {{found: import("./types").DrawnTraces}} props */
 function Traces({ found }) {
   const { channels, trials, of } = found;
-  const shown = trials[Math.min(trial.value, trials.length - 1)];
-  const k = trials.indexOf(shown);
+  const k = Math.min(trial.value, trials.length - 1);
+  const shown = trials[k];
+  const part = recorded(shown);
   const candidate = over.value ? known.value.diagnose?.candidates?.[over.value]?.[shown.file] : null;
   return html`<section class="card wide"><h2>Traces</h2>
     <div class="tabs" role="group" aria-label="Trials">${trials.map((t, i) => html`<button aria-pressed=${i === k}
@@ -126,6 +127,6 @@ function Traces({ found }) {
       ${stretch.value ? html`<button onClick=${() => (stretch.value = null)}>Whole trial</button>` : null}</div>
     ${trials.length < of ? html`<p class="quiet">${trials.length} of ${of} trials are drawn.</p>` : null}
     ${over.value ? html`<p>Laid over: what <strong>${words(over.value)}</strong> predicts, fitted.</p>` : null}
-    <${Traced} channels=${channels} trial=${shown} stretch=${stretch.value} over=${candidate ? { name: over.value, values: candidate } : null} group="traces" />
-    <h3>Torque against angle</h3><${Loop} trial=${shown} name=${shown.file} /></section>`;
+    <${Traced} channels=${channels} trial=${part} stretch=${stretch.value} over=${candidate ? { name: over.value, values: candidate.map((values) => values.slice(-part.time_s.length)) } : null} group="traces" />
+    <h3>Torque against angle</h3><${Loop} trial=${part} name=${shown.file} /></section>`;
 }

@@ -4,7 +4,7 @@ import { Working, alive, done, jobs, result } from "./jobs.js";
 import { ask, save } from "./net.js";
 import { Legend, Plot, line, zoom } from "./plot.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
-import { Loop, Traced } from "./traced.js";
+import { Loop, Traced, recorded } from "./traced.js";
 import { computed, effect, html, number, signal, untracked, useEffect, useSignal, words, written } from "./ui.js";
 
 /** What the server listed: runs, how many fit, how many were not read yet. @type {{value: import("./types").RunsDocument | null}} */
@@ -115,18 +115,18 @@ function List() {
   const go = (/** @type {number} */ to) => { start.value = to; list(); };
   return html`<h1>Runs</h1><p class="purpose">Look at what was recorded, hold a model against it, and choose runs to learn from.</p>
     <section class="card"><div class="orders">
-      <label>Filter <input type="search" value=${filter.value} placeholder="name, status, strategy, tag" onInput=${(/** @type {Event} */ e) => { filter.value = written(e); start.value = 0; list(); }} /></label>
+      <label>Filter <input type="search" class="long" value=${filter.value} placeholder="name, status, strategy, tag" onInput=${(/** @type {Event} */ e) => { filter.value = written(e); start.value = 0; list(); }} /></label>
       <button aria-disabled=${marked.value.length !== 2} onClick=${() => marked.value.length === 2 && (location.hash = route("runs", "", marked.value.map((name) => ["run", name])))}>Side by side</button>
       <button class="go" aria-disabled=${!marked.value.length} onClick=${() => marked.value.length && (location.hash = dataRoute(marked.value.map(run)))}>Diagnose these (${marked.value.length})</button>
       ${now?.indexing ? html`<span class="quiet" role="status">Reading ${now.indexing} more …</span>` : null}</div>
     ${now ? null : html`<p class="quiet" role="status">Loading …</p>`}
     ${now && !now.runs.length ? html`<p class="quiet">${filter.value ? "No run fits the filter." : html`Nothing is recorded yet. Compensate on the page <a href="#/live">Live</a>: each run is kept here.`}</p>` : null}
-    ${now?.runs.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Recorded runs"><table class="runs"><thead><tr><th><span class="hidden">marked</span></th>${COLUMNS.map(([by, label, side]) => html`<th scope="col" class=${side}
+    ${now?.runs.length ? html`<div class="scroll" tabindex="0" role="group" aria-label="Recorded runs"><table class="runs stacked rows"><thead><tr><th><span class="hidden">marked</span></th>${COLUMNS.map(([by, label, side]) => html`<th scope="col" class=${side}
         aria-sort=${order.value.by === by ? (order.value.down ? "descending" : "ascending") : undefined}><button class="sort" onClick=${() => sort(by)}>${label}${order.value.by === by ? (order.value.down ? " ↓" : " ↑") : ""}</button></th>`)}</tr></thead>
       <tbody>${now.runs.map((each) => html`<tr key=${each.name}><td><input type="checkbox" aria-label=${`Mark ${each.name}`} checked=${marked.value.includes(each.name)} onChange=${() => toggle(each.name)} /></td>
         <th scope="row"><a href=${route("runs", each.name)}>${each.name}</a>${each.simulated ? html` <span class="tag">simulated</span>` : null}</th>
-        <td class="text">${local(each.started_utc)}</td><td>${number(each.target_deg, 1)}</td><td class="text">${words(each.strategy)}</td>
-        <td class="text">${words(each.status)}</td><td>${number(each.duration_s, 1)}</td><td class="text">${each.tags.join(", ")}</td><td class="text note" title=${each.note}>${each.note}</td></tr>`)}</tbody></table></div>
+        <td class="text">${local(each.started_utc)}</td><td data-label="target / °">${number(each.target_deg, 1)}</td><td class="text" data-label="strategy">${words(each.strategy)}</td>
+        <td class="text" data-label="status">${words(each.status)}</td><td data-label="duration / s">${number(each.duration_s, 1)}</td><td class="text">${each.tags.join(", ")}</td><td class="text note" title=${each.note}>${each.note}</td></tr>`)}</tbody></table></div>
       ${now.of > SHOWN ? html`<p class="buttons"><button aria-disabled=${!start.value} onClick=${() => start.value && go(Math.max(0, start.value - SHOWN))}>Before</button>
         <span class="quiet">${start.value + 1} to ${start.value + now.runs.length} of ${now.of}</span>
         <button aria-disabled=${start.value + SHOWN >= now.of} onClick=${() => start.value + SHOWN < now.of && go(start.value + SHOWN)}>Next</button></p>` : null}` : null}</section>`;
@@ -196,7 +196,8 @@ function Told({ name }) {
   const held = choice.value && compared.value.of === `${name} ${key}` ? compared.value.found : null;
   const working = jobs.value.filter((job) => job.data.some((/** @type {import("./store.js").Named} */ d) => d.name === name) && !["show", "export"].includes(job.kind));
   const pieces = held?.traces?.trials ?? [shown];
-  const trial = pieces[Math.min(piece.value, pieces.length - 1)];
+  const part = Math.min(piece.value, pieces.length - 1);
+  const trial = recorded(pieces[part]);
   /** @type {import("./traced.js").Channel[]} */
   const channels = held?.traces?.channels ?? [{ name: "torque", unit: "N·mm", noise: 0 }, ...shown.sensors.map((sensor) => ({ name: sensor, unit: "°", noise: 0 }))];
   const draw = async (/** @type {string} */ what) => {
@@ -209,7 +210,7 @@ function Told({ name }) {
         ${models.map((/** @type {import("./store.js").Named} */ m) => html`<option value=${m.key}>${words(m.name)}</option>`)}</select></label></p>
       <${Working} kinds=${["compare", "figure"]} of=${working} />
       ${held ? html`<p><strong>${held.name}</strong> ${held.sentence}</p>` : null}
-      ${pieces.length > 1 ? html`<div class="tabs" role="group" aria-label="Parts of the run that are predicted">${pieces.map((part, k) => html`<button aria-pressed=${part === trial} onClick=${() => { piece.value = k; zoom("run", null); }}>${k + 1} · ${words(part.motions.at(-1)?.name ?? part.title)}</button>`)}</div>` : null}
+      ${pieces.length > 1 ? html`<div class="tabs" role="group" aria-label="Parts of the run that are predicted">${pieces.map((each, k) => html`<button aria-pressed=${k === part} onClick=${() => { piece.value = k; zoom("run", null); }}>${k + 1} · ${words(each.motions.at(-1)?.name ?? each.title)}</button>`)}</div>` : null}
       <h3>base</h3><${Plot} name=${`${name}-base`} label="Angle of the base" unit="base / °" height=${130} cursor="run" marks=${trial.motions} series=${[line("base", "--base")]} data=${[trial.time_s, trial.base_deg]} />
       <${Traced} channels=${channels} trial=${trial} group="run" name=${name} />
       <h3>Torque against angle</h3><${Loop} trial=${trial} name=${name} /></section>
@@ -218,7 +219,7 @@ function Told({ name }) {
         ${shown.result?.motions.length ? html`<h3>Motions</h3><div class="scroll" tabindex="0" role="group" aria-label="Motions of the run"><table><thead><tr><th scope="col">motion</th><th scope="col">base / °</th><th scope="col">torque / N·mm</th>${shown.sensors.map((sensor) => html`<th scope="col">${words(sensor)} / °</th>`)}</tr></thead>
           <tbody>${shown.result.motions.map((motion) => html`<tr><th scope="row">${words(motion.phase)}</th><td>${number(motion.base_deg, 2)}</td><td>${number(motion.torque_nmm, 4)}</td>${motion.hall_deg.map((angle) => html`<td>${number(angle, 1)}</td>`)}</tr>`)}</tbody></table></div>` : null}</section>
       <section class="card"><h2>Events</h2>${shown.events.length ? html`<div class="scroll events" tabindex="0" role="group" aria-label="Events of the run"><table><thead><tr><th scope="col">time / s</th><th scope="col" class="text">event</th></tr></thead>
-        <tbody>${shown.events.map((event) => html`<tr class=${event.kind}><td>${number(event.time_s, 2)}</td><td class="text">${event.kind === "phase" ? "" : `${event.kind}: `}${words(event.text)}</td></tr>`)}</tbody></table></div>` : html`<p class="quiet">None were recorded.</p>`}</section></div>`;
+        <tbody>${shown.events.map((event) => html`<tr class=${event.kind}><td>${number(event.time_s, 2)}</td><td class="text">${event.kind === "phase" ? "" : `${event.kind}: `}${words(event.text).replace(/^(\w+) \1,/, "$1,")}</td></tr>`)}</tbody></table></div>` : html`<p class="quiet">None were recorded.</p>`}</section></div>`;
 }
 
 /** @param {{names: string[]}} props */

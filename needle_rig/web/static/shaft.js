@@ -13,8 +13,16 @@ const RIGHT = 20;
 const TOP = 14;
 const GROUND = 190;
 const STEP_DEG = 15;
-/** What a person reads for a state of the drive: after boot it takes no command until an order clears it. @type {Record<string, string>} */
-const DRIVE = { silent: "waits for the first order" };
+/** What a person reads for the state of the drive. After boot it takes no command until an order clears it.
+ * `running` is the drive's word for a command that is in force, at a stand, too. Simulated time may stand still after an order:
+ * its drive has then not answered to the end of it, and will not. @param {import("./live.js").State} state */
+function driveSaid({ sensors, phase, run, moving, rig }) {
+  const said = sensors?.drive_state ?? "";
+  if (said === "silent") return "waits for the first order";
+  if (said !== "running") return said;
+  if (run || moving) return phase === "moving" ? "turns the base" : "holds the base";
+  return rig.simulated ? "at rest" : said;
+}
 
 /** @param {{state: import("./live.js").State, estimate: import("./types").EstimateDocument | null}} props */
 export function Shaft({ state, estimate }) {
@@ -33,7 +41,7 @@ export function Shaft({ state, estimate }) {
       <div><dt>torque</dt><dd>${number(sensors.torque_nmm, 4)} N·mm</dd></div>
       ${sensors.hall_deg.map((a, k) => html`<div><dt>hall ${k + 1}</dt><dd>${number(a, 1)}°</dd></div>`)}
       ${curve && estimate ? html`<div><dt>tip, estimated</dt><dd>${number(curve.at(-1), 1)}° ± ${number(2 * (estimate.deviation_deg.at(-1) ?? NaN), 1)}°</dd></div>` : null}
-      <div><dt>drive</dt><dd>${DRIVE[sensors.drive_state] ?? sensors.drive_state}</dd></div>
+      <div><dt>drive</dt><dd>${driveSaid(state)}</dd></div>
     </dl>`;
 }
 
@@ -73,7 +81,7 @@ export function ShaftPicture({ rig, points, target, curve, places, deviation }) 
     <text class="tick" x=${x(0)} y=${GROUND + 31}>base</text>
     ${(WIDTH < 1000 ? [0, 200, 400] : [0, 100, 200, 300, 400]).filter((mm) => mm <= rig.needle_length_mm).map((mm) => html`<text class="tick" x=${x(mm)} y=${HEIGHT - 6} text-anchor="middle">${mm}${mm ? "" : " mm"}</text>`)}
     <text class="tick" x=${WIDTH - RIGHT} y=${GROUND - 8} text-anchor="end">tip</text></svg>
-  <p class="key"><span class="pair"><span class="k base"></span>base</span> <span class="pair"><span class="k sensor"></span>Hall sensors</span>
-    ${curve ? html`<span class="pair"><span class="k curve"></span>estimate ± 2σ</span>` : null}
+  <p class="key"><span class="pair"><span class="k base"></span>base</span> ${points.length > 1 ? html`<span class="pair"><span class="k sensor"></span>Hall sensors</span>` : null}
+    ${curve ? html`<span class="pair"><span class="k curve"></span>${deviation ? "estimate ± 2σ" : "shaft"}</span>` : null}
     <span class="pair"><span class="k tissue"></span>tissue</span> ${target !== null && target !== undefined ? html`<span class="pair"><span class="k target"></span>target</span>` : null}</p>`;
 }

@@ -3,7 +3,7 @@ import { Working, alive, begin, jobs, result } from "./jobs.js";
 import { ask } from "./net.js";
 import { ShaftPicture } from "./shaft.js";
 import { about, modelCalled, place, refuse, route } from "./store.js";
-import { computed, effect, html, number, signal, untracked, useEffect, words, written, prose } from "./ui.js";
+import { computed, effect, html, number, signal, untracked, typeset, useEffect, words, written, prose } from "./ui.js";
 
 const targets = signal("45");
 const seeds = signal("2");
@@ -72,12 +72,12 @@ export function Strategies() {
 }
 
 /** What a strategy does, in a sentence. @param {string} strategy */
-const told = (strategy) => prose(about.value?.strategies.find((s) => s.name === strategy)?.text ?? "");
+const told = (strategy) => (about.value?.strategies.find((s) => s.name === strategy)?.text ?? "");
 
 /** What there is to try, before it was tried. */
 function Known() {
   return html`<section class="card"><h2>What is tried</h2><p class="quiet">Each strategy turns the base in its own sequence. The table will have the error, the lag of the tip, torque and time of each, and its sequence as a moving shaft.</p>
-    <dl class="known">${(about.value?.strategies ?? []).map((each) => html`<div><dt>${words(each.name)}</dt><dd>${prose(each.text)}</dd></div>`)}</dl></section>`;
+    <dl class="known">${(about.value?.strategies ?? []).map((each) => html`<div><dt>${words(each.name)}</dt><dd>${typeset(each.text)}</dd></div>`)}</dl></section>`;
 }
 
 /** @param {{found: Found}} props */
@@ -87,7 +87,7 @@ function Table({ found }) {
   const both = (e, d) => (e ? (found.asked.seeds > 1 ? `${number(e.median, d)} (${number(e.q95, d)})` : number(e.median, d)) : "–");
   return html`<section class="card"><h2>Side by side</h2><p class="quiet">On ${words(found.of ? model.value?.name ?? "" : found.asked.parameters)}. ${found.asked.seeds > 1 ? "Medians, 95 % quantiles in brackets." : "One run of each kind."} Choose one to see its sequence.</p>
     <div class="scroll" tabindex="0" role="group" aria-label="Strategies"><table><thead><tr><th>strategy</th><th>worst error / °</th><th>tip lag / °</th><th>mean error / °</th><th>torque / N·mm</th><th>rotations</th><th>time / s</th></tr></thead>
-      <tbody>${rows.map((row) => html`<tr class=${row.strategy === name.value ? "named" : ""}><th scope="row"><button title=${told(row.strategy)} aria-pressed=${row.strategy === name.value} disabled=${!found.sequences[row.strategy]}
+      <tbody>${rows.map((row) => html`<tr class=${row.strategy === name.value ? "named" : ""}><th scope="row"><button title=${prose(told(row.strategy))} aria-pressed=${row.strategy === name.value} disabled=${!found.sequences[row.strategy]}
           onClick=${() => { name.value = row.strategy; step.value = 0; }}>${words(row.strategy)}</button></th>
         ${row.refused && !row.worst_deg ? html`<td class="text" colspan="6">${row.refused}</td>` : html`<td>${both(row.worst_deg, 1)}</td><td>${both(row.tip_lag_deg, 1)}</td><td>${both(row.mean_deg, 1)}</td><td>${both(row.torque_nmm, 3)}</td><td>${number(row.rotations, 0)}</td><td>${number(row.time_s, 1)}</td>`}</tr>`)}</tbody></table></div></section>`;
 }
@@ -111,7 +111,7 @@ function Moving({ found }) {
   const mix = (a, b) => a + part * (b - a);
   const curve = motions[k].shaft_deg.map((/** @type {number} */ a, /** @type {number} */ i) => mix(a, next.shaft_deg[i]));
   return html`<section class="card"><h2>${words(name.value)} to ${found.target_deg}°</h2>
-    <p>${told(name.value)}</p>
+    <p>${typeset(told(name.value))}</p>
     <${ShaftPicture} rig=${found} points=${[[0, curve[0]]]} target=${found.target_deg} curve=${curve} places=${motions[k].places_mm} />
     <div class="orders"><button class="go" onClick=${() => { if (step.value >= motions.length - 1) step.value = 0; plays.value = !plays.value; }}>${plays.value ? "Pause" : "Play"}</button>
       <label>Motion: ${words(motions[Math.round(step.value)].name)}, base ${number(mix(motions[k].base_deg, next.base_deg), 1)}°, torque ${number(mix(motions[k].torque_nmm, next.torque_nmm), 3)} N·mm

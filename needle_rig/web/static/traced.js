@@ -13,6 +13,15 @@ const STRIP = 130;
 /** Measured minus model over the noise. @param {Values} measured @param {Values} model @param {number} noise */
 const left = (measured, model, noise) => measured.map((value, i) => (value === null || model[i] === null ? null : (value - /** @type {number} */ (model[i])) / noise));
 
+/** A trial from its first measured sample on: the turns before it wind the shaft up in the model, and are no part of the record.
+ * @template {Trial} T @param {T} trial @returns {T} */
+export function recorded(trial) {
+  const from = trial.time_s.findIndex((_, i) => trial.measured.some((values) => values[i] !== null));
+  if (from <= 0) return trial;
+  const cut = (/** @type {Values} */ values) => values.slice(from);
+  return { ...trial, time_s: trial.time_s.slice(from), base_deg: cut(trial.base_deg), measured: trial.measured.map(cut), model: trial.model?.map(cut), refit: trial.refit?.map(cut) };
+}
+
 /** The base and every channel, with models over them; `over` is the prediction of a candidate, by channel.
  * @param {{channels: Channel[], trial: Trial, stretch?: [number, number] | null, over?: {name: string, values: Values[]} | null, group: string, name?: string}} props */
 export function Traced({ channels, trial, stretch = null, over = null, group, name = trial.file }) {

@@ -33,6 +33,12 @@ export const measured = (value, uncertainty) => {
 /** A docstring as people read it: without marks of code. @param {string} text */
 export const prose = (text) => text.replaceAll("`", "");
 
+/** A docstring with the index of a symbol below the line. @param {string} text */
+export const typeset = (text) => prose(text).split(/([θτ]_[a-z]+|\bl_[a-z]+)/).map((part, k) => (k % 2 ? html`${part[0]}<sub>${part.slice(2)}</sub>` : part));
+
+/** A sentence of the program as a page begins it. @param {string} text */
+export const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+
 /** What stands in the field of this event. @param {Event} event */
 export const written = (event) => /** @type {HTMLInputElement} */ (event.target).value;
 /** Whether its box is ticked. @param {Event} event */

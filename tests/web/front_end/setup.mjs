@@ -25,7 +25,9 @@ Object.assign(globalThis, {
   fetch: async (path, { method, body, headers }) => {
     asked.push({ method, path, body, headers });
     const given = answers.get(`${method} ${path}`) ?? [404, { error: "no such path" }];
-    return { ok: given[0] < 400, status: given[0], json: async () => given[1] };
+    // a symbol is what is no JSON, as a proxy's own page
+    const json = async () => (typeof given[1] === "symbol" ? JSON.parse("<html>") : given[1]);
+    return { ok: given[0] < 400, status: given[0], json };
   },
 });
 /** The page's module of this name. */
