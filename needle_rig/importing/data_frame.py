@@ -32,7 +32,8 @@ def read_frame(path: Path, shown: str) -> Read:
     polars = needed("polars", f"a file of {kind}", "import")
     try:
         frame = _lines(polars, path) if reader == _LINES[1] else getattr(polars, reader)(path)
-    except Exception as error:  # noqa: BLE001 - the library raises several kinds, some of them Rust's panics
+    # the library raises several kinds, and Rust's panics, which are no Exception
+    except (Exception, polars.exceptions.PanicException) as error:  # noqa: BLE001
         raise BadInput(f"{shown}: cannot be read as {kind}: {str(error)[:200]}; write it again") from None
     columns = [column for name in frame.columns for column in _columns(polars, frame[name], name)]
     if len(columns) > MAX_COLUMNS:

@@ -46,18 +46,21 @@ def with_objects(leaves: dict[str, Leaf], path: Path, shown: str) -> tuple[Colum
     from needle_rig.importing.matlab_objects import signals_in
 
     try:
-        found = signals_in(path, shown)
+        found, lost = signals_in(path, shown)
     except BadInput as error:
         if not any(array.size >= FEWEST_ROWS for array, _ in leaves.values()):
             raise
         return (Column("objects of MATLAB", "", np.empty(0), fault=str(error).removeprefix(f"{shown}: ")),)
-    if not found and not leaves:
+    if not found and not leaves and not lost:
         raise BadInput(
             f"{shown}: holds objects of MATLAB that are no table, timeseries or Dataset; save arrays, with"
             " s.Time = ts.Time; s.Data = ts.Data"
         )
     leaves |= found
-    return ()
+    return tuple(Column(name, "", np.empty(0), fault=_LOST) for name in lost)
+
+
+_LOST = "holds no numbers that can be read, as where a file is damaged; save it again"
 
 
 def flatten(node: Any, path: str, leaves: dict[str, Leaf], unit: str = "", depth: int = 0) -> None:

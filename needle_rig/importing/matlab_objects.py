@@ -16,12 +16,17 @@ from needle_rig.importing.arrays import Leaf
 UNITS = ("VariableUnits", "varUnits")
 """What a table, and what a timetable calls the units of its columns."""
 DEEPEST = 12
+SIGNALS = ("timeseries", "table", "timetable", "Simulink.SimulationData.Signal")
+"""Classes whose objects hold signals."""
 _TIME_UNITS = {"seconds": "s", "milliseconds": "ms", "microseconds": "us", "minutes": "min", "hours": "h"}
 """Units of a timeseries' time, as MATLAB writes them."""
 
 
-def signals_in(path: Path, shown: str) -> dict[str, Leaf]:
-    """Columns and times by name of the object that holds them. Raises BadInput."""
+def signals_in(path: Path, shown: str) -> tuple[dict[str, Leaf], list[str]]:
+    """Columns and times by name of the object that holds them, and objects that cannot be read.
+
+    Raises BadInput.
+    """
     matio = needed("matio", "an object of MATLAB", "import")
     try:
         with warnings.catch_warnings():
@@ -33,24 +38,38 @@ def signals_in(path: Path, shown: str) -> dict[str, Leaf]:
             " table2struct(…, 'ToScalar', true), or s.Time = ts.Time; s.Data = ts.Data"
         ) from None
     leaves: dict[str, Leaf] = {}
+    lost: list[str] = []
     for name, value in content.items():
-        _object(str(name), value, leaves)
-    return leaves
+        _object(str(name), value, leaves, lost)
+    return leaves, lost
 
 
-def _object(name: str, value: Any, leaves: dict[str, Leaf], depth: int = 0) -> None:
-    """Adds the signals of `value`, and of what it holds, each below a name that no other has."""
+def _object(name: str, value: Any, leaves: dict[str, Leaf], lost: list[str], depth: int = 0) -> None:
+    """Adds the signals of `value`, and of what it holds, each below a name that no other has.
+
+    Names of timeseries without numbers, and of objects without properties, as damage leaves them, are added
+    to `lost`.
+    """
     if depth > DEEPEST:
         return
     properties = _properties(value)
     if hasattr(value, "columns"):
         _table(_free(name, leaves), value, leaves)
     elif properties is not None and "TimeInfo" in properties:
-        _timeseries(name.replace("/", "∕"), properties, leaves)
+        if not _timeseries(name.replace("/", "∕"), properties, leaves):
+            lost.append(name)
+    elif properties is None and getattr(value, "classname", "") in SIGNALS:
+        lost.append(name)
     else:
         for key, part in _parts(value, properties):
-            if depth or properties is not None or isinstance(part, Mapping) or _properties(part) is not None:
-                _object(_called(part, name, key), part, leaves, depth + 1)
+            if (
+                depth
+                or properties is not None
+                or hasattr(part, "classname")
+                or isinstance(part, Mapping)
+                or _properties(part) is not None
+            ):
+                _object(_called(part, name, key), part, leaves, lost, depth + 1)
 
 
 def _properties(value: Any) -> Mapping[str, Any] | None:
@@ -78,7 +97,8 @@ def _called(part: Any, above: str, place: str) -> str:
     own = "" if properties is None else _text(properties.get("Name", ""))
     if own and own != "unnamed":
         return own
-    return above if properties is not None and not place.isdigit() else f"{above} {place}"
+    is_object = properties is not None or hasattr(part, "classname")
+    return above if is_object and not place.isdigit() else f"{above} {place}"
 
 
 def _free(name: str, leaves: Mapping[str, Leaf]) -> str:
@@ -98,11 +118,14 @@ def _table(name: str, frame: Any, leaves: dict[str, Leaf]) -> None:
         leaves[f"{name}/{column}"] = (np.asarray(frame[column]), unit)
 
 
-def _timeseries(name: str, properties: Mapping[str, Any], leaves: dict[str, Leaf]) -> None:
-    """Its times are numbers, or a start and a step where even; those of equal times are one table."""
+def _timeseries(name: str, properties: Mapping[str, Any], leaves: dict[str, Leaf]) -> bool:
+    """Its times are numbers, or a start and a step where even; those of equal times are one table.
+
+    False for one without numbers.
+    """
     data = _numbers(properties, "Data_", "Data")
     if data is None:
-        return
+        return False
     info = _properties(properties["TimeInfo"]) or {}
     times = _numbers(info, "Time_")
     if times is None:
@@ -118,6 +141,7 @@ def _timeseries(name: str, properties: Mapping[str, Any], leaves: dict[str, Leaf
         name += "'"
     unit = (_properties(properties.get("DataInfo")) or {}).get("Units", "")
     leaves[f"{group}/{name}"] = (data, _text((_properties(unit) or {}).get("Name", unit)))
+    return True
 
 
 def _on_clock(times: np.ndarray | None, unit: str, leaves: dict[str, Leaf]) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import mmap
+import struct
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -40,6 +42,7 @@ def read_mdf(path: Path, shown: str, dbc: Path | None) -> Read:
                 for index, group in enumerate(file.groups):
                     if not logged[index]:
                         lost += _group(file, index, group, leaves)
+                lost += _unlinked(stream, file)
             if any(logged):
                 frames = sent_in(by_can("MF4Reader")(path))
         except Exception as error:  # noqa: BLE001 - damaged files raise anything, down to struct's errors
@@ -116,6 +119,40 @@ def _gaps(group: Any) -> list[tuple[int, int]]:
             gaps.append((known, min(begin, size)))
         known = max(known, end)
     return gaps
+
+
+_NO_LINK = "no link leads to it, as where one is damaged; export the recording again"
+
+
+def _unlinked(stream: BinaryIO, file: Any) -> list[Column]:
+    """Groups that are in the file and that no link reaches: a chain that ends early says nothing itself."""
+    if not hasattr(file.header, "dg_nr"):
+        linked = {group.channel_group.address for group in file.groups}
+        places = [f"group at byte {at}" for at in _groups_in(stream) if at not in linked]
+        return [Column(place, "", np.empty(0), fault=_NO_LINK) for place in places]
+    # versions before 4 count their groups, and mark them by two letters that data hold by chance
+    found = len({group.data_group.address for group in file.groups})
+    places = [f"group {k + 1} of {file.header.dg_nr}" for k in range(found, file.header.dg_nr)]
+    return [Column(place, "", np.empty(0), fault=_NO_LINK) for place in places]
+
+
+def _groups_in(stream: BinaryIO) -> Iterator[int]:
+    """Where version 4 has channel groups, by their mark and by a length that fits their number of links."""
+    with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as held:
+        at = held.find(_GROUP)
+        while at >= 0:
+            if at + _HEAD.size <= len(held):
+                length, links = _HEAD.unpack_from(held, at)
+                if length == _HEAD.size + 8 * links + _GROUP_DATA:
+                    yield at
+            at = held.find(_GROUP, at + 1)
+
+
+_GROUP = b"##CG"
+_HEAD = struct.Struct("<8xQQ")
+"""Of a block: mark and reserved bytes, length, number of links."""
+_GROUP_DATA = 32
+"""Bytes of a channel group beside its head and links."""
 
 
 def _bytes_of(channel: Any) -> tuple[int, int]:

@@ -124,11 +124,27 @@ def levels(time_s: Array, base: Array) -> Array:
 
 def roundness(levels_deg: Array) -> float:
     """Share of the levels that are multiples of 5°, 0 without levels."""
+    return float(np.mean(_round(levels_deg))) if len(levels_deg) else 0.0
+
+
+def round_by_chance(levels_deg: Array) -> float:
+    """Probability that of as many levels at random as many are multiples of 5°; 1 without levels."""
+    from scipy.stats import binom
+
     if not len(levels_deg):
-        return 0.0
+        return 1.0
+    share = float(np.mean(np.minimum(1.0, 2.0 * _round_within(levels_deg) / ROUND_STEP_DEG)))
+    return float(binom.sf(_round(levels_deg).sum() - 1, len(levels_deg), share))
+
+
+def _round(levels_deg: Array) -> Array:
     near = np.abs(levels_deg - ROUND_STEP_DEG * np.round(levels_deg / ROUND_STEP_DEG))
-    within = np.maximum(ROUND_WITHIN_DEG, 0.003 * np.abs(levels_deg))
-    return float(np.mean((near < within) & (np.abs(levels_deg) > ROUND_STEP_DEG / 2)))
+    return np.asarray((near < _round_within(levels_deg)) & (np.abs(levels_deg) > ROUND_STEP_DEG / 2))
+
+
+def _round_within(levels_deg: Array) -> Array:
+    """How near to a multiple a drive comes: the farther it turns, the less near."""
+    return np.maximum(ROUND_WITHIN_DEG, 0.003 * np.abs(levels_deg))
 
 
 def rest_before_motion(base: Array) -> int:

@@ -88,6 +88,7 @@ class Work(Asked):
     mapping: dict[str, Any] | None = None
     layout: Annotated[str, Field(max_length=64 << 10)] | None = None
     layout_of: Key | None = None
+    machine: Key | None = None
     targets_deg: Annotated[list[Angle], Field(min_length=1, max_length=TARGETS)] | None = None
     seeds: Annotated[int, Field(ge=1, le=SEEDS)] | None = None
     parameters: Key | None = None

@@ -123,6 +123,7 @@ class Desk:
             given |= self._recordings(asked)
             if kind == "guess":
                 given["layout"] = await self._layout(asked)
+                given["machine"] = asked.machine
         elif kind == "example":
             given |= EXAMPLE
         elif "data" not in given and kind != "undo":

@@ -68,6 +68,7 @@ class AboutDocument(TypedDict):
     """What can be chosen."""
 
     data: list[SourceDocument]
+    machines: list[Named]
     strategies: list[StrategyDocument]
     models: list[JobDocument]
     rig_model: Named | None

@@ -31,10 +31,20 @@ Document = dict[str, Any]
 Say = Callable[[str], None]
 
 
-def guess(say: Say, *, folder: str, files: list[str], layout: str | None, name: str, out: str) -> Document:
+def guess(
+    say: Say,
+    *,
+    folder: str,
+    files: list[str],
+    layout: str | None,
+    machine: str | None,
+    name: str,
+    out: str,
+) -> Document:
     """What is what in `files`: a mapping among them, or else the proposed one. Raises BadInput.
 
-    `layout` is a file with the shaft; without it a layout among the files is taken.
+    `layout` is a file with the shaft. Without it that of the kind of `machine` is written, or else a layout
+    among the files is taken.
     """
     del out
     root = Path(folder)
@@ -45,9 +55,9 @@ def guess(say: Say, *, folder: str, files: list[str], layout: str | None, name: 
     read = mappings or [file for file in files if file not in (*texts, *databases)]
     if not read:
         raise BadInput(f"{name}: holds no dataset, run or recording; drop the recordings too")
-    shaft = layout if layout is not None else next(iter(shafts), None)
+    shaft = layout if layout is not None or machine is not None else next(iter(shafts), None)
     dbc = next((str(root / file) for file in databases), None)
-    question = Understand(files=read, name=name, folder=folder, layout=shaft, dbc=dbc)
+    question = Understand(files=read, name=name, folder=folder, layout=shaft, dbc=dbc, machine=machine)
     return _document(question.answer(Doing(say=say)), files)
 
 

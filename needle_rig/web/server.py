@@ -21,6 +21,7 @@ from starlette.websockets import WebSocket
 from needle_rig.control.strategy import find_strategies
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.model import parameter_sets
+from needle_rig.physics.machine import MACHINES, NEEDLE
 from needle_rig.recording.watch_summary import read_contradiction
 from needle_rig.service.api.connections import Connections
 from needle_rig.service.api.endpoint import QUEUE
@@ -139,11 +140,13 @@ class Page:
     # the workbench
 
     async def about(self, _: Request) -> Response:
-        """What can be chosen: data, models, strategies, parameter sets."""
+        """What can be chosen: data, machines, models, strategies, parameter sets."""
         sources = await asyncio.to_thread(self.desk.named)
         return JSONResponse(
             {
                 "data": [{"key": s.key, "name": s.name, "kind": s.kind} for s in sources],
+                # what a recording may be of, if of no needle
+                "machines": [{"key": key, "name": m.text} for key, m in MACHINES.items() if key != NEEDLE],
                 "strategies": [
                     {"name": name, "text": (kind.__doc__ or name).strip().splitlines()[0]}
                     for name, kind in find_strategies().items()

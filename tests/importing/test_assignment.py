@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -172,3 +173,37 @@ def test_a_recording_without_an_angle_is_a_sentence(tmp_path: Path) -> None:
     values = table()[:, [0, 2]]
     with pytest.raises(BadInput, match="no column can be the base's angle"):
         guessed(tmp_path / "log.csv", ("Time [s]", "Torque [mNm]"), values, None)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_what_moves_as_a_torque_in_a_unit_that_nobody_knows_is_asked(
+    tmp_path: Path, rig: RigPart, moves: bool
+) -> None:
+    values = table()
+    if not moves:
+        values[:, 2] = np.random.default_rng(0).standard_normal(len(values))
+    names = ("time [s]", "F [deg]", "A [torqs]", "D [deg]", "B [deg]", "E [deg]", "C [deg]")
+    doubts = guessed(tmp_path / "log.csv", names, values, rig).doubts()
+    assert any("A [torqs] moves as one would: its unit 'torqs'" in doubt for doubt in doubts) == moves
+
+
+def test_the_smallest_numbers_there_are_explain_as_others_do() -> None:
+    values = table()
+    base, torque = (series_of(Column("", "", v), "daq", values[:, 0]) for v in values.T[1:3])
+    tiny = series_of(Column("", "", values[:, 2] * 1e-300), "daq", values[:, 0])
+    assert Driver(base).gain(tiny, torque=True) == pytest.approx(Driver(base).gain(torque, torque=True))
+
+
+@pytest.mark.parametrize("kept", [4, 3])
+def test_a_sensor_of_the_layout_that_a_damaged_column_may_have_held_is_asked(
+    tmp_path: Path, rig: RigPart, kept: int
+) -> None:
+    values = table()
+    names = ("time_s", "motor_deg", "torque_nmm", *(f"hall_{k}" for k in range(1, kept + 1)))
+    mapping = guessed(tmp_path / "log.csv", names, values[:, : len(names)], rig)
+    lost = Column("hall_4", "", np.empty(0), fault="holds no numbers")
+    read = read_recording(tmp_path / "log.csv")
+    again = guess([dataclasses.replace(read, columns=(*read.columns, lost))], "mine", rig, Path())
+    told = "hall_4 is not there, and hall_4 holds no numbers; shall it be imported without?"
+    assert any(told in doubt for doubt in again.doubts()) == (kept == 3)
+    assert not any(told in doubt for doubt in mapping.doubts())

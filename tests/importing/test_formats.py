@@ -307,6 +307,30 @@ def test_what_a_damaged_mf4_loses_is_told(source: Source, tmp_path: Path) -> Non
             read_recording(file)
 
 
+@pytest.mark.parametrize(("version", "mark", "first"), [("4.10", b"##DG", 24), ("3.30", b"HD", 4)])
+def test_a_group_of_an_mdf_that_no_link_reaches_is_told(
+    version: str, mark: bytes, first: int, tmp_path: Path
+) -> None:
+    pytest.importorskip("can")
+    asammdf = pytest.importorskip("asammdf")
+    time_s = np.arange(200) * 0.01
+    with asammdf.MDF(version=version) as mdf:
+        for name in ("angle", "torque"):
+            mdf.append([asammdf.Signal(np.sin(time_s), time_s, name=name, unit="deg")])
+        file = Path(mdf.save(tmp_path / f"run.m{'f4' if version[0] == '4' else 'df'}"))
+    assert not any(c.fault for c in read_recording(file).columns)
+    whole = bytearray(file.read_bytes())
+    at = whole.find(mark) + first
+    if mark == b"HD":  # its first link is to the data group, whose first one is to the next
+        at = int.from_bytes(whole[at : at + 4], "little") + 4
+    whole[at : at + 4] = bytes(4)
+    file.write_bytes(whole)
+    told = {c.name: c.fault for c in read_recording(file).columns}
+    assert "angle" in told
+    assert "torque" not in told
+    assert sum("no link leads to it" in fault for fault in told.values()) == 1, told
+
+
 @pytest.mark.parametrize("name", ["matlab_timeseries_7", "matlab_timeseries_73", "simulink_dataset_73"])
 def test_objects_of_matlab_have_units_and_one_clock(name: str, source: Source, tmp_path: Path) -> None:
     found = read_recording(made(name, source, tmp_path).files[0])
@@ -375,3 +399,34 @@ def test_a_classic_frame_that_says_more_than_eight_bytes_is_read(monkeypatch: py
     sent.dlc = 15
     monkeypatch.setattr(can, "BLFReader", lambda _: contextlib.nullcontext([sent]))
     assert [found.data for found in by_can("BLFReader")(Path("run.blf"))] == [bytes(8)]
+
+
+@pytest.mark.parametrize("damage", ["no properties", "no numbers"])
+def test_a_signal_of_matlab_that_cannot_be_read_is_told(
+    damage: str, source: Source, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matio = pytest.importorskip("matio")
+    file = made("simulink_dataset_73", source, tmp_path).files[0]
+    content = matio.load_from_mat(str(file), add_table_attrs=True)
+    logged = content["out"].reshape(-1)[0]["logsout"]
+    last = logged.properties["Storage_"].properties["Elements"].reshape(-1)[-1].properties["Values"]
+    if damage == "no properties":
+        last.properties = ()
+    else:
+        last.properties["Data_"] = np.empty((0, 1))
+    monkeypatch.setattr(matio, "load_from_mat", lambda *_, **__: content)
+    faults = {c.name: c.fault for c in read_recording(file).columns if c.fault}
+    assert list(faults) == ["hall_4"]
+    assert "no numbers that can be read" in faults["hall_4"]
+
+
+def test_a_panic_of_the_library_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    polars = pytest.importorskip("polars")
+    polars.DataFrame({"t": [0.0, 1.0]}).write_parquet(tmp_path / "run.parquet")
+
+    def panics(_: Path) -> None:
+        raise polars.exceptions.PanicException("assertion failed")
+
+    monkeypatch.setattr(polars, "read_parquet", panics)
+    with pytest.raises(BadInput, match="cannot be read as Parquet: assertion failed"):
+        read_recording(tmp_path / "run.parquet")

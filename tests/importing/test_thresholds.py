@@ -46,3 +46,11 @@ def test_levels_at_random_are_not_round() -> None:
     found = [signals.roundness(random.uniform(-180, 180, 2)) >= ROUND for _ in range(4000)]
     assert np.mean(found) < 0.02
     assert signals.roundness(np.array([45.02, -30.0, 90.1])) >= ROUND
+
+
+def test_far_levels_are_round_by_chance_and_near_ones_are_not() -> None:
+    near, far = np.array([45.0, -30.0, 90.0]), np.array([565.5, 750.4, 611.7])
+    assert signals.round_by_chance(near) < 0.001
+    assert signals.roundness(far) == 1.0
+    assert signals.round_by_chance(far) > 0.2
+    assert signals.round_by_chance(np.empty(0)) == 1.0

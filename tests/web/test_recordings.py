@@ -10,6 +10,7 @@ import pytest
 
 from needle_rig.dataset import read_dataset
 from needle_rig.units import deg, nmm
+from tests.importing.machines import Joint, swings
 from tests.web.looking import EVIL, IN_BROWSER, Open, look_at, pictured
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright here: pip install playwright")
@@ -69,6 +70,30 @@ def test_a_recording_is_dropped_its_columns_confirmed_and_the_model_held_against
     page.wait_for_selector(".map")
     assert page.get_by_text("imported", exact=True).is_visible()
     assert page.get_by_text("hall 1").first.is_visible()
+
+
+def test_the_kind_of_machine_is_chosen_where_no_layout_is_dropped(visit: Open, tmp_path: Path) -> None:
+    joint = Joint()
+    time_s, angle, rate = swings()
+    torque = joint.torque_nm(angle, rate, np.random.default_rng(next(LOGS)))
+    rows = np.column_stack((time_s, deg(angle), torque))
+    file = tmp_path / "joint.csv"
+    np.savetxt(file, rows, fmt="%.6f", delimiter=",", header="time [s],drive [deg],Torque [Nm]", comments="")
+    page = visit("data")
+    page.get_by_label("choose files").set_input_files(file)
+    page.get_by_role("heading", name="assign the columns of joint.csv").wait_for()
+    page.get_by_text("by the channels it is a joint").first.wait_for()
+    page.get_by_label("looks like that of").select_option("shaft")
+    page.get_by_role("button", name="Propose again").click()
+    page.get_by_text("a shaft with gears or couplings between two machines: ").wait_for()
+    page.get_by_text("no layout is given").wait_for(state="detached")
+    assert page.get_by_label("looks like that of").input_value() == "machine:shaft"
+    for doubt in page.locator(".doubt input").all():
+        doubt.check()
+    page.get_by_role("button", name="Import").click()
+    page.wait_for_selector(".map")
+    assert page.get_by_text("joint", exact=False).first.is_visible()
+    assert not page.get_by_role("alert").count()
 
 
 def test_what_cannot_be_imported_is_a_sentence_and_the_lines_stay(visit: Open, log: Path) -> None:

@@ -12,8 +12,9 @@ from needle_rig.config.places import show_path
 from needle_rig.dataset.description import RigPart
 from needle_rig.errors import BadInput
 from needle_rig.importing import names
-from needle_rig.importing.guess.channels import asked_torque, channels_of
+from needle_rig.importing.guess.channels import asked_lost, channels_of
 from needle_rig.importing.guess.clocks import clock_of, doubt_speed, is_even, on_one_clock
+from needle_rig.importing.guess.dropouts import doubt_dropouts
 from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.known import Known
 from needle_rig.importing.guess.series import Series, series_of
@@ -91,7 +92,8 @@ def guess(
     trials, series = trials_of(series)
     clocks, series = on_one_clock(clocks, series)
     channels, reasons = channels_of(series, known, recordings, why)
-    channels = asked_torque(channels, [c for r in recordings for c in r.columns if c.fault])
+    channels = asked_lost(channels, [c for r in recordings for c in r.columns if c.fault], series, known.rig)
+    channels = doubt_dropouts(channels, series)
     why |= reasons
     clocks = {k: v for k, v in clocks.items() if any(c.clock == k for c in channels)}
     if trials.clock is not None and trials.clock not in clocks:

@@ -11,10 +11,12 @@ from typing import Literal
 import numpy as np
 
 from needle_rig.config.places import show_path
+from needle_rig.dataset.description import RigPart
 from needle_rig.errors import BadInput
 from needle_rig.importing import names, signals
 from needle_rig.importing.axes import OF_ANGLE, OF_TORQUE, SUMMED, size_si, summed
-from needle_rig.importing.guess.assignment import Choice, assign
+from needle_rig.importing.guess.assignment import CLEAR, Choice, assign
+from needle_rig.importing.guess.generic_shaft import Driver
 from needle_rig.importing.guess.kinds import kind_of, sensor_roles
 from needle_rig.importing.guess.known import Known
 from needle_rig.importing.guess.series import (
@@ -123,12 +125,36 @@ def channels_of(
     return channels, why
 
 
-def asked_torque(channels: Sequence[ChannelPart], faulty: Sequence[Column]) -> list[ChannelPart]:
-    """The channels; without a torque their base is asked about the `faulty` columns that may have held it."""
-    lost = list(dict.fromkeys(f"{c.name} {c.fault}" for c in faulty if kind_of(c)[0] in ("torque", "")))
-    if not lost or any(c.role == TORQUE for c in channels):
+def asked_lost(
+    channels: Sequence[ChannelPart],
+    faulty: Sequence[Column],
+    series: Sequence[Series],
+    rig: RigPart | None,
+) -> list[ChannelPart]:
+    """The channels; their base is asked about columns that may have held what is not there.
+
+    That is a torque, or an angle that the layout of `rig` has a sensor for. Columns that may have held it are
+    `faulty` ones, and those of an unclear kind that a generic shaft explains as its torque.
+    """
+    roles = {c.role for c in channels}
+    doubts = []
+    if TORQUE not in roles:
+        lost = [f"{c.name} {c.fault}" for c in faulty if kind_of(c)[0] in ("torque", "")]
+        unclear = [s for s in series if kind_of(s.column)[0] == "unclear"]
+        if unclear:
+            at = next((c.clock, c.source) for c in channels if c.role == BASE)
+            driver = Driver(next(s for s in series if key_of(s) == at))
+            moves = [s.column for s in unclear if driver.gain(s, torque=True) > CLEAR]
+            lost += [f"{column.name} moves as one would: {kind_of(column)[1]}" for column in moves]
+        if lost:
+            doubts.append(f"no torque goes with it, and {'; '.join(dict.fromkeys(lost))[:300]}")
+    if missing := [sensor.name for sensor in (rig.hall_sensors if rig else ()) if sensor.name not in roles]:
+        lost = [f"{c.name} {c.fault}" for c in faulty if kind_of(c)[0] in ("angle", "")]
+        if lost:
+            doubts.append(f"{', '.join(missing)} is not there, and {'; '.join(dict.fromkeys(lost))[:300]}")
+    if not doubts:
         return list(channels)
-    doubt = f"no torque goes with it, and {'; '.join(lost)[:300]}; shall it be imported without?"
+    doubt = f"{'; '.join(doubts)}; shall it be imported without?"
     return [
         c if c.role != BASE else c.model_copy(update={"doubt": "; ".join(filter(None, (c.doubt, doubt)))})
         for c in channels

@@ -83,6 +83,7 @@ class Driver:
         y = values[known] - values[known].mean()
         if not y.any():
             return 0.0
+        y /= float(np.abs(y).max())  # squares of the smallest numbers there are would be 0
         return max(self._fitted(y, torque, known.tobytes(), let_go) for let_go in self._let_go)
 
     def _fitted(self, y: Array, torque: bool, known: bytes, let_go: frozenset[int]) -> float:

@@ -21,8 +21,8 @@ def is_frequency(text: str) -> bool:
 def kind_of(column: Column) -> tuple[str, str]:
     """Kind of a column: what it measures, other, or empty where neither name nor unit says it; with reason.
 
-    Kinds are the dimensions of units. A torque or an angle by name whose unit is not known stays one: its
-    unit is asked.
+    It is unclear where the name says nothing and the unit is not known. Kinds are the dimensions of units. A
+    torque or an angle by name whose unit is not known stays one: its unit is asked.
     """
     dimension, name, unit = written_dimension(column), column.name, column.unit
     if names.says(name, names.COMMAND):
@@ -50,7 +50,7 @@ def kind_of(column: Column) -> tuple[str, str]:
     if dimension:
         return "other", f"it counts {unit}, and its name does not say of what"
     if unit:
-        return "other", f"its unit {unit!r} is not known, and its name says neither angle nor torque"
+        return "unclear", f"its unit {unit!r} is not known, and its name says neither angle nor torque"
     return "", "neither its name nor its unit says what it is"
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from needle_rig.dataset.description import RigPart, needle_of
 from needle_rig.importing import signals
 from needle_rig.importing.axes import SLIDING, SUMMED
+from needle_rig.importing.guess.assignment import WRONG
 from needle_rig.importing.guess.kinds import is_frequency, kind_of
 from needle_rig.importing.guess.series import (
     Series,
@@ -73,7 +74,8 @@ def base_unit(base: Series, sensors: Sequence[Series], machine: Machine) -> Unit
         fitting.remove("turn")
     if written is not None and written.dimension == "angle":
         degrees = math.degrees(written.si)
-        better = [u for u in rounds if u != written.text]
+        others = (u for u in rounds if u != written.text)
+        better = [u for u in others if signals.round_by_chance(at * math.degrees(known_unit(u).si)) < WRONG]
         if not (1.0 <= peak * degrees <= machine.largest_deg) or rate * degrees > machine.fastest_deg_s:
             likely = next(iter(rounds or fitting), None)
             return UnitGuess(

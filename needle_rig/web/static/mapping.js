@@ -21,6 +21,7 @@ hall_sensors:
 const KEPT = "needle-rig-mapping-";
 const NOT_USED = "not used";
 const WRITTEN = "written here";
+const MACHINE = "machine:";
 
 /** Take in what is proposed for an upload. @param {string} upload @param {Guess} found */
 export function propose(upload, found) {
@@ -37,7 +38,9 @@ effect(() => {
 
 /** Where the shaft of a guess is taken from, as the server wants it. */
 export const shaft = () =>
-  layoutOf.value === WRITTEN ? { layout: layoutText.value } : layoutOf.value ? { layout_of: layoutOf.value } : {};
+  layoutOf.value === WRITTEN ? { layout: layoutText.value }
+  : layoutOf.value.startsWith(MACHINE) ? { machine: layoutOf.value.slice(MACHINE.length) }
+  : layoutOf.value ? { layout_of: layoutOf.value } : {};
 
 /** The mapping as the page shows it: confirmed doubts are part of the reasons, unused lines are left out. */
 /** @param {Mapping} mapping */
@@ -81,8 +84,8 @@ function Doubt({ part, of }) {
 }
 
 /** The mapping of dropped recordings; `again` asks for another guess, `take` imports, `discard` removes what was dropped.
- * @param {{busy: boolean, sources: import("./types").Named[], again: () => void, take: () => void, discard: () => void}} props */
-export function WhatIsWhat({ busy, sources, again, take, discard }) {
+ * @param {{busy: boolean, sources: import("./types").Named[], machines: import("./types").Named[], again: () => void, take: () => void, discard: () => void}} props */
+export function WhatIsWhat({ busy, sources, machines, again, take, discard }) {
   const found = proposal.value;
   if (!found) return null;
   const { mapping } = found;
@@ -112,6 +115,7 @@ export function WhatIsWhat({ busy, sources, again, take, discard }) {
     <h3>The shaft</h3>
     <div class="orders"><label>looks like that of <select value=${layoutOf.value} onChange=${(/** @type {Event} */ e) => { layoutOf.value = value(e); if (value(e) === WRITTEN && !layoutText.value) layoutText.value = LAYOUT; }}>
         <option value="" selected=${!layoutOf.value}>${mapping.rig ? "what was dropped" : "choose"}</option><option value=${WRITTEN} selected=${layoutOf.value === WRITTEN}>${WRITTEN}</option>
+        ${machines.map((m) => html`<option value=${MACHINE + m.key} title=${m.name} selected=${MACHINE + m.key === layoutOf.value}>${m.key}</option>`)}
         ${sources.map((s) => html`<option value=${s.key} selected=${s.key === layoutOf.value}>${s.name}</option>`)}</select></label>
       <button disabled=${busy || !layoutOf.value} onClick=${again}>Propose again with this shaft</button></div>
     ${layoutOf.value === WRITTEN ? html`<label class="all">The shaft in lines of YAML<textarea rows="8" value=${layoutText.value} onInput=${(/** @type {Event} */ e) => (layoutText.value = value(e))}></textarea></label>` : null}

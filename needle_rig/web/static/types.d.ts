@@ -1,6 +1,6 @@
 // Made by scripts/web_types.py from the server's OpenAPI document; do not edit.
 export type Results = { CompareResult: CompareResult; DiagnoseResult: DiagnoseResult; ModelResult: ModelResult; LearnResult: LearnResult; GuessResult: GuessResult; StrategiesResult: StrategiesResult };
-export type AboutDocument = { data: SourceDocument[]; strategies: StrategyDocument[]; models: JobDocument[]; rig_model: Named | null; parameters: string[]; runs: string; unkept: string };
+export type AboutDocument = { data: SourceDocument[]; machines: Named[]; strategies: StrategyDocument[]; models: JobDocument[]; rig_model: Named | null; parameters: string[]; runs: string; unkept: string };
 export type Ages = { torque: number | null; hall: number | null; drive: number | null };
 export type AnsweredJob = { key: string; name: string; kind: string; data: Named[]; model: Named | null; asked: Record<string, unknown>; state: "waiting" | "running" | "done" | "failed" | "cancelled"; step: string; done: number; total: number; begun_utc_s: number; asked_utc_s: number; elapsed_s: number; left_s: number | null; added: string[]; error: string; result: Record<string, unknown> | null };
 export type BegunJob = { job: string };
@@ -97,4 +97,4 @@ export type UnjudgedRun = { run: string; why: string };
 export type ValuesDocument = { held_error: number | null; refit_error: number | null; contradiction_p: number | null; contradict: boolean; parameters: ComparedNumber[]; sentences: string[] };
 export type WatchDocument = { contradiction: string; version: string };
 export type WayOnDocument = { part: string | null; as_good: string[]; channel: string | null; record: string[]; sentences: string[] };
-export type Work = { kind: string; data?: string[]; model?: string | null; quick?: boolean; refit?: unknown; fixed?: unknown; free?: unknown; diagnosis?: string | null; chosen?: string[]; learnt?: string | null; effect?: string | null; compared?: string | null; what?: string | null; form?: string | null; upload?: string | null; mapping?: Record<string, unknown> | null; layout?: string | null; layout_of?: string | null; targets_deg?: number[] | null; seeds?: number | null; parameters?: string | null; chart?: Chart | null };
+export type Work = { kind: string; data?: string[]; model?: string | null; quick?: boolean; refit?: unknown; fixed?: unknown; free?: unknown; diagnosis?: string | null; chosen?: string[]; learnt?: string | null; effect?: string | null; compared?: string | null; what?: string | null; form?: string | null; upload?: string | null; mapping?: Record<string, unknown> | null; layout?: string | null; layout_of?: string | null; machine?: string | null; targets_deg?: number[] | null; seeds?: number | null; parameters?: string | null; chart?: Chart | null };

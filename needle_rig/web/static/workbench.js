@@ -40,7 +40,7 @@ export function Workbench() {
     <div class="grid2">
       <${Choose} />
       ${subject.value || lost.value ? null : html`<${Opening} />`}
-      <${WhatIsWhat} busy=${busy.value} sources=${about.value?.data ?? []} again=${guessAgain} take=${importProposed} discard=${() => proposal.value && forget(proposal.value.upload)} />
+      <${WhatIsWhat} busy=${busy.value} sources=${about.value?.data ?? []} machines=${about.value?.machines ?? []} again=${guessAgain} take=${importProposed} discard=${() => proposal.value && forget(proposal.value.upload)} />
       <${Compared} />
       <${Missing} />
       <${Falls} />

@@ -84,6 +84,8 @@ class Estimate:
     """95 %."""
     experiment: str = ""
     """What would give the constant that the recording does not."""
+    at_most: float | None = None
+    """The size that the recording leaves possible, of one that it does not tell from 0; 95 %."""
 
     def as_json(self) -> JsonObject:
         """As it stands in the JSON answer; JSON has no infinity, which is written as text."""
@@ -96,16 +98,18 @@ class Estimate:
             "uncertainty": uncertainty,
             "interval": None if self.interval is None else [low, high],
             "experiment": self.experiment,
+            "at_most": self.at_most,
         }
 
     def sentence(self) -> str:
         """In words."""
+        bound = "" if self.at_most is None else f", at most {self.at_most:.3g} {self.unit} (95 %)"
         if self.value is None or self.interval is None:
-            return f"{self.name}: not identifiable from this recording; {self.experiment}"
+            return f"{self.name}: not identifiable from this recording{bound}; {self.experiment}"
         low, high = self.interval
         return (
             f"{self.name} = {self.value:.5g} ± {self.uncertainty:.2g} {self.unit}"
-            f" (95 %: {low:.5g} to {high:.5g})"
+            f" (95 %: {low:.5g} to {high:.5g})" + (f": not told from 0{bound}" if bound else "")
         )
 
 
@@ -290,12 +294,13 @@ def _told(joint: JointFriction, lever_m: float | None) -> tuple[Estimate, ...]:
     told = []
     for number in joint.numbers:
         unit, size = of.get(number.name, (torque, 1e3 / arm_mm))
+        most = None if number.at_most is None else size * number.at_most
         if number.value is None or number.deviation is None:
-            told.append(Estimate(number.name, unit, None, None, None, number.missing))
+            told.append(Estimate(number.name, unit, None, None, None, number.missing, most))
             continue
         value, deviation = size * number.value, size * number.deviation
         ends = (value - joint.reach * deviation, value + joint.reach * deviation)
-        told.append(Estimate(number.name, unit, value, deviation, ends))
+        told.append(Estimate(number.name, unit, value, deviation, ends, at_most=most))
     return tuple(told)
 
 

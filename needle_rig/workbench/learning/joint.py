@@ -23,32 +23,29 @@ from scipy.stats import t as t_distribution
 
 from needle_rig.dataset import Dataset, DatasetTrial
 from needle_rig.dataset.channels import white_noise
-from needle_rig.numerics import Array
+from needle_rig.numerics import Array, beyond_chance
 
 RATE_NOISE = 0.01
 """Of a block's rate, over a high rate: blocks are as long as the encoder's noise asks for."""
 HIGH = 0.9
 """Quantile of the rates that stands for a high one."""
-LONGEST = 50
-"""Blocks at least in a recording, however noisy its encoder is."""
-SIGMAS = 4.0
-"""Noise of a rate within which its sign is not known."""
 ONE_WAY = 0.95
 """Share of a block's way that leads to its end at least: less of it, and the block holds a reversal."""
 FEWEST = 20
 """Blocks that determine five numbers."""
-OUTLYING = 3.0
-"""Residuals of standard deviations that count less (Cauchy's loss): friction changes sides in a block."""
+OUTLYING = 2.385
+"""Standard deviations beyond which residuals count less (Cauchy's loss): friction changes sides in a block.
+It is 95 % as efficient as least squares where all is normal (Holland, Welsch, Commun. Statist. A6, 1977)."""
 LEAST_LEFT = 1e-9
 """Of the torque's span: less is rounding."""
 MEDIAN_TO_SIGMA = 1.4826
-MOST_ALIKE = 0.99
-"""Correlation of neighbours at most: one block of 200 counts."""
 CHANCE = 1e-3
-"""Probability of an excess as large where there is none, below which it is given."""
+"""Probability below which a rate's sign, or an excess, is not one of noise."""
 OTHER_WAY = "turn the base both ways"
 DRAG = "drag"
 """Coulomb friction and offset together, of a base that turned one way."""
+EITHER_SIGN = ("offset", DRAG)
+"""Numbers that may be negative; the others are friction and inertia."""
 TWO_RATES = 1.2
 """Ratio of a high to a low rate below which friction at one rate alone was seen."""
 LOWEST = 1.0 - HIGH
@@ -56,8 +53,8 @@ FADED = 0.5
 """Of the highest rate, above which the rate of an excess would leave a fiftieth of it there, e^(−4)."""
 WIDTHS = (0.0, *(2.0**-k for k in range(11, 2, -1)))
 """Half widths of the presliding that are tried, over the span of the base."""
-BEYOND = 1.25
-"""Widths after a reversal that are left aside: the ladder's steps are a factor of two."""
+BEYOND = math.sqrt(2.0)
+"""Widths after a reversal that are left aside: a ladder in steps of two has one that is that near."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +96,8 @@ class Number:
     deviation: float | None = None
     missing: str = ""
     """What would have to be recorded."""
+    at_most: float | None = None
+    """The size that 95 % leave possible, of one that is not told from 0."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +163,7 @@ def _blocks(trial: DatasetTrial, span_rad: float) -> Seen | None:
         return None
     high_rad_s = float(np.quantile(moving, HIGH))
     wanted = math.ceil(math.sqrt(2.0) * noise_rad / (RATE_NOISE * high_rad_s * step_s))
-    count = int(np.clip(wanted, 1, max(1, len(time_s) // LONGEST)))
+    count = int(np.clip(wanted, 1, max(1, len(time_s) - 1)))
     ends = np.arange(0, len(time_s), count)
     way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(base_rad)))))
     length_s, turned, path = (np.diff(x[ends]) for x in (time_s, base_rad, way))
@@ -175,7 +174,8 @@ def _blocks(trial: DatasetTrial, span_rad: float) -> Seen | None:
     mean, share = (np.diff(x[ends]) / count for x in (total, there))
     rate = turned / length_s
     noise_rad_s = math.sqrt(2.0) * noise_rad / (count * step_s)
-    good = (share == 1.0) & (np.abs(rate) > max(SIGMAS * noise_rad_s, 1e-9 * high_rad_s))
+    sure_rad_s = beyond_chance(CHANCE, len(rate)) * noise_rad_s
+    good = (share == 1.0) & (np.abs(rate) > max(sure_rad_s, 1e-9 * high_rad_s))
     good &= np.abs(turned) >= ONE_WAY * path
     shares = [
         np.stack((share[:-1], share[1:]))
@@ -219,18 +219,38 @@ def joint_friction(found: Seen) -> JointFriction | None:
         bent = _with_stribeck(np.column_stack(list(columns.values())), rate, torque, fit, left_nm)
         if bent is not None:
             fit, names = bent, [*names, "stribeck", "stribeck_rate"]
-    values = {n: Number(n, float(v), float(s)) for n, v, s in zip(names, fit.at, fit.deviations, strict=True)}
+    reach = float(t_distribution.ppf(0.975, max(fit.count - len(fit.at), 1.0)))
+    values = {
+        n: Number(n, float(v), float(s), at_most=_most(n, float(v), reach * float(s)))
+        for n, v, s in zip(names, fit.at, fit.deviations, strict=True)
+    }
+    slowest = float(np.abs(rate).min())
+    bounds: dict[str, float] = {}
+    if two_rates:
+        bounds["stribeck"] = _most_excess(columns, rate, torque, left_nm, reach)
+    elif both_ways:
+        # what grows with the rate is at most all the friction that there is at this one
+        bounds["viscous"] = float((fit.at[0] + reach * fit.deviations[0]) / np.median(np.abs(rate)))
     faster = "turn at rates that lie a factor of five apart"
-    slower = f"turn more slowly than {math.degrees(float(np.abs(rate).min())):.2g}°/s, evenly, both ways"
+    slower = f"turn more slowly than {math.degrees(slowest):.2g}°/s, evenly, both ways"
     missing = dict.fromkeys(("coulomb", "offset", "stribeck"), OTHER_WAY) if not both_ways else {}
     missing = {"viscous": faster, "stribeck": f"no excess is seen at low rates: {slower}"} | missing
     asked_for = (*(() if both_ways else (DRAG,)), "coulomb", "viscous", "offset", "stribeck")
     told = (
-        *(values.get(name) or Number(name, None, None, missing[name]) for name in asked_for),
+        *(
+            values.get(name) or Number(name, None, None, missing[name], bounds.get(name))
+            for name in asked_for
+        ),
         *(values[name] for name in ("stribeck_rate", "inertia") if name in values),
     )
-    reach = float(t_distribution.ppf(0.975, max(fit.count - len(fit.at), 1.0)))
     return JointFriction(told, reach, math.sqrt(fit.chi2 / len(rate)))
+
+
+def _most(name: str, value: float, half: float) -> float | None:
+    """The size that an interval with 0 in it reaches, and None of one without; friction is none below 0."""
+    if abs(value) > half:
+        return None
+    return half + (abs(value) if name in EITHER_SIGN else max(value, 0.0))
 
 
 @dataclass(frozen=True)
@@ -282,9 +302,27 @@ def _fit(
     )
     left = np.clip(torque - law(rate, *at), -scale_nm, scale_nm)
     near = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
-    near = min(max(near, 0.0), MOST_ALIKE)
+    near = max(near, 0.0)  # below 1, by Cauchy and Schwarz
     share = (1.0 - near) / (1.0 + near)
     return _Fit(at, np.sqrt(np.diag(covariance) / share), float(left @ left), max(len(left) * share, 1.0))
+
+
+def _most_excess(
+    columns: Mapping[str, Array], rate: Array, torque: Array, left_nm: float, reach: float
+) -> float:
+    """The largest excess that the blocks leave possible, whatever the rate is at which it fades."""
+    ends = []
+    for fading in _fadings(rate):
+        excess = np.sign(rate) * np.exp(-((rate / fading) ** 2))
+        fit = _linear({**columns, "stribeck": excess}, rate, torque, left_nm)
+        ends.append(max(float(fit.at[-1]), 0.0) + reach * float(fit.deviations[-1]))
+    return max(ends)
+
+
+def _fadings(rate: Array) -> Array:
+    """Rates at which an excess may fade and be seen to."""
+    lowest, highest = float(np.abs(rate).min()), float(np.abs(rate).max())
+    return np.geomspace(max(2.0 * lowest, 1e-3 * highest), FADED * highest, 4)
 
 
 def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_nm: float) -> _Fit | None:
@@ -301,7 +339,7 @@ def _with_stribeck(design: Array, rate: Array, torque: Array, plain: _Fit, left_
 
     lowest, highest, free = float(size.min()), float(size.max()), len(plain.at)
     tried = []
-    for fading in np.geomspace(max(2.0 * lowest, 1e-3 * highest), FADED * highest, 4):
+    for fading in _fadings(rate):
         begin = [*plain.at, 0.1 * abs(float(plain.at[0])), float(fading)]
         limits = ([-np.inf] * free + [0.0, lowest], [np.inf] * (free + 1) + [highest])
         try:

@@ -71,6 +71,24 @@ def test_intervals_hold_the_truth_as_often_as_they_say(stribeck_nm: float) -> No
     assert all(count >= 34 for name, count in met.items() if stribeck_nm or "stribeck" not in name), met
 
 
+@pytest.mark.whole
+def test_bounds_hold_what_is_too_small_to_be_told() -> None:
+    """An excess that no fit tells, no viscous friction, no offset."""
+    joint = Joint(viscous_nms_per_rad=0.0, offset_nm=0.0, stribeck_nm=0.0005)
+    truth = {"viscous": 0.0, "offset": 0.0, "stribeck": joint.stribeck_nm}
+    told, below = dict.fromkeys(truth, 0), dict.fromkeys(truth, 0)
+    for seed in range(SEEDS):
+        friction = found(moved(joint, seed))
+        assert friction["coulomb"].at_most is None
+        for name, size in truth.items():
+            bound = friction[name].at_most
+            told[name] += bound is not None
+            below[name] += bound is not None and size <= bound
+            assert bound is None or bound < 0.1 * joint.coulomb_nm, name
+    assert all(count >= 34 for count in told.values()), told
+    assert all(told[name] - below[name] <= 2 for name in truth), below
+
+
 def test_scipys_least_squares_on_the_same_channels_agrees() -> None:
     joint = Joint(0.8, 0.1, 0.02, 0.2, 0.15, noise_nm=0.01)
     one = moved(joint, 1)
@@ -122,6 +140,7 @@ def test_one_way_alone_tells_nothing_apart() -> None:
     assert missing(friction) == {"coulomb", "viscous", "offset", "stribeck"}
     assert friction["coulomb"].missing == "turn the base both ways"
     assert friction["drag"].value == pytest.approx(0.2, abs=0.002)
+    assert all(n.at_most is None for n in friction.numbers)
 
 
 def test_one_way_at_several_rates_tells_viscous_friction() -> None:
@@ -156,6 +175,8 @@ def test_one_rate_both_ways_tells_no_viscous_friction() -> None:
     assert missing(friction) == {"viscous", "stribeck"}
     assert friction["coulomb"].value == pytest.approx(0.25, abs=0.002)
     assert "factor of five" in friction["viscous"].missing
+    # all of it at this rate may be viscous
+    assert friction["viscous"].at_most == pytest.approx(0.25 / 0.5, rel=0.02)
 
 
 def test_two_rates_tell_it_and_trials_count_together() -> None:
