@@ -12,7 +12,7 @@ from needle_rig.numerics import Array
 from needle_rig.workbench.estimation import profile
 from needle_rig.workbench.estimation.baseline import as_baseline
 from needle_rig.workbench.estimation.parameters import scaled_values_of
-from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
+from needle_rig.workbench.estimation.problem import EXACT, Fit, ParameterVector, Problem
 from needle_rig.workbench.estimation.profile import over_profiles
 from tests.workbench.hidden import effect, fit, null_fit
 
@@ -97,7 +97,8 @@ def test_a_parameter_that_is_held_stays_and_others_are_fitted() -> None:
     start = dataclasses.replace(found.vector, scaled_values=found.vector.scaled_values + np.array([0.0, 0.1]))
     name = found.parameters[1].full_name
     held = fit(problem.fixing({name: start.scaled_values[1]}), ["stiction_ageing"], start)
-    assert held.scaled_errors[1] < 1e-3 < 1e-2 < found.scaled_errors[1]
+    # it is known to what stands for exact, and the fit beside it to what the data tell
+    assert held.scaled_errors[1] < 1.1 * EXACT < 0.1 * found.scaled_errors[1]
     assert held.vector.scaled_values[1] == start.scaled_values[1]
     assert held.vector.scaled_values[0] > found.vector.scaled_values[0] + 0.05
     assert found.objective - 1.0 < held.objective
