@@ -31,6 +31,7 @@ def asked(folder: Path, cpu_s: int = 60, memory: int = 1 << 40) -> tuple[int, di
         "folder": str(folder),
         "files": files,
         "layout": None,
+        "machine": None,
         "name": "x",
         "out": "",
         "jobs": 1,
