@@ -28,6 +28,7 @@ from needle_rig.workbench.estimation.posterior import start_vector
 from needle_rig.workbench.estimation.problem import Fit, ParameterVector, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial, bins_of_samples
 from needle_rig.workbench.observations.measured_noise import measure_noise
+from needle_rig.workbench.observations.noise import variance
 from needle_rig.workbench.observations.noise_terms.white import White
 
 RECORDED = ROOT / "config/recordings/davinci.yaml"
@@ -174,8 +175,9 @@ def errors(problem: Problem, found: Fit, scatter: Array, repeat: Array) -> dict[
 
 def between_periods(problem: Problem) -> Array:
     """By how much a bin's torque (N·m) and lag (rad) differ from period to period of a recording: medians."""
-    counts = np.concatenate([b.count[0] for b in problem.trials])
-    return np.asarray(problem.noise.white / np.sqrt(np.median(counts[counts > 0])))
+    channels = range(problem.trials[0].mean.shape[0])
+    each = [np.concatenate([variance(problem.noise, b, c) for b in problem.trials]) for c in channels]
+    return np.sqrt(np.nanmedian(each, axis=1))
 
 
 def away_from_reversals(trial: BinnedTrial) -> npt.NDArray[np.bool_]:
