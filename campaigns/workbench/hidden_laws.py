@@ -352,6 +352,7 @@ LAWS: tuple[HiddenLaw, ...] = (
         ("sine",),
         _driven("N", lambda t: 0.02 * np.sin(3.0 * t.base_angle_rad)),
         lambda s, v: _DEG * s * 0.02 * np.sin(3.0 * v / _DEG),
+        held_by="transmission_error",
     ),
     HiddenLaw(
         "chuck_creeps",
