@@ -45,16 +45,16 @@ SIZES = {"weak": 0.3, "medium": 1.0, "strong": 2.0}
 NOISE = Noise(friction_scatter=0.02, rigidity_error=0.02)
 PAIRS = (
     ("slit", "cross_talk"),
-    ("hall_2_third", "gear"),
+    ("hall_2_third", "chuck_creeps"),
     ("detent", "magnet_turns"),
-    ("stop", "cable"),
+    ("stop", "index_runs"),
 )
 """Two laws that act apart,"""
 BESIDE = (
     ("tissue_elasticity", "slit"),
     ("chuck_backlash", "hall_2_third"),
     ("tip_friction", "dead_cell"),
-    ("torque_gain", "gear"),
+    ("torque_gain", "chuck_creeps"),
 )
 """and an effect of the library with a law."""
 FAULT_SEEDS = 20
@@ -64,7 +64,7 @@ DAMPING, CELL_M = 0.01, 5e-3
 """Of the needle that is not ours: N·mm·s per 100 mm, which its explicit steps need, and its cells."""
 LATE_S = 0.03
 """By which the Hall readings come late where their clock is."""
-FOREIGN = ("hall_2_third", "dead_cell", "cable", "lag", "gear", "slit", "notch")
+FOREIGN = ("hall_2_third", "dead_cell", "magnet_turns", "lag", "chuck_creeps", "slit", "notch")
 """Laws in the needle that is not ours."""
 
 
