@@ -188,7 +188,7 @@ def stops(browser: Browser, rig: Started) -> list[tuple[str, str, str]]:
             time.sleep(1.0)
             begun_s = time.monotonic()
             if how == "Stop":
-                page.get_by_role("button", name="Stop").click()
+                page.get_by_role("button", name="Stop", exact=True).click()
             else:
                 page.keyboard.press(how)
             took_ms.append(1e3 * (standing_s(rig.client) - begun_s))
