@@ -67,7 +67,7 @@ def test_every_printed_command_is_of_a_clone_and_names_an_extra_there_is() -> No
     for command in commands:
         words = shlex.split(command)
         assert words[:2] == ["-c", "requirements.lock"], command
-        assert words[2:-1] in ([], ["-e"], ["--no-compile"]), command
+        assert words[2:-1] in ([], ["-e"]), command
         of = re.fullmatch(r"\.(?:\[(?P<extra>[a-z]+)\])?", words[-1])
         assert of, command
         assert of["extra"] is None or of["extra"] in EXTRAS, command
