@@ -177,7 +177,7 @@ def between_periods(problem: Problem) -> Array:
     """By how much a bin's torque (N·m) and lag (rad) differ from period to period of a recording: medians."""
     channels = range(problem.trials[0].mean.shape[0])
     each = [np.concatenate([variance(problem.noise, b, c) for b in problem.trials]) for c in channels]
-    return np.sqrt(np.nanmedian(each, axis=1))
+    return np.asarray(np.sqrt(np.nanmedian(each, axis=1)))
 
 
 def away_from_reversals(trial: BinnedTrial) -> npt.NDArray[np.bool_]:

@@ -18,6 +18,7 @@ from tests.closed_loop.shell import Shell
 from tests.web.conftest import started
 from tests.web.looking import IN_BROWSER, Open
 from tests.web.served import Served
+from tests.web.test_bounds import claim_every_cell
 from tests.web.test_sources import MANY, recorded
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright here: pip install playwright")
@@ -109,12 +110,7 @@ def test_a_file_that_wants_more_memory_than_a_job_has_is_a_sentence_on_the_page(
 def test_a_sheet_that_claims_every_cell_is_a_sentence_on_the_page(
     visit: Open, served: Served, tmp_path: Path
 ) -> None:
-    openpyxl = pytest.importorskip("openpyxl")
-    pytest.importorskip("python_calamine")
-    book = openpyxl.Workbook()
-    book.active.cell(1, 1, 1.0)
-    book.active.cell(1_048_576, 16_384, 1.0)
-    book.save(tmp_path / "far.xlsx")
+    claim_every_cell(tmp_path / "far.xlsx")
     page = visit("data", served=served)
     dropped(page, tmp_path / "far.xlsx")
     told = page.get_by_role("alert").filter(has_text="GB of memory; give less data")

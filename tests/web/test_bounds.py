@@ -52,6 +52,16 @@ def asked(folder: Path, cpu_s: int = 60, memory: int = 1 << 40) -> tuple[int, di
         return process.wait(), said[-1] if said else {}, process.stderr.read().splitlines()
 
 
+def claim_every_cell(path: Path) -> None:
+    """Write a spreadsheet with two numbers, one in its first cell and one in the last that there can be."""
+    openpyxl = pytest.importorskip("openpyxl")
+    pytest.importorskip("python_calamine")
+    book = openpyxl.Workbook()
+    book.active.cell(1, 1, 1.0)
+    book.active.cell(1_048_576, 16_384, 1.0)
+    book.save(path)
+
+
 @pytest.mark.whole
 def test_a_file_that_unpacks_to_more_than_a_jobs_memory_is_a_sentence(tmp_path: Path) -> None:
     np.savez_compressed(tmp_path / "bomb.npz", a=np.zeros(150_000_000, np.uint8), b=np.zeros(150_000_000))
@@ -71,12 +81,7 @@ def test_a_job_that_only_reads_ends_at_its_processor_time(tmp_path: Path) -> Non
 
 @pytest.mark.whole
 def test_a_spreadsheet_that_claims_every_cell_is_a_sentence(tmp_path: Path) -> None:
-    openpyxl = pytest.importorskip("openpyxl")
-    pytest.importorskip("python_calamine")
-    book = openpyxl.Workbook()
-    book.active.cell(1, 1, 1.0)
-    book.active.cell(1_048_576, 16_384, 1.0)
-    book.save(tmp_path / "far.xlsx")
+    claim_every_cell(tmp_path / "far.xlsx")
     code, said, complaints = asked(tmp_path)
     assert "error" not in said
     assert "GB of memory; give less data" in bounds.told(code, complaints)

@@ -14,14 +14,12 @@ const TOP = 14;
 const GROUND = 190;
 const STEP_DEG = 15;
 /** What a person reads for the state of the drive. After boot it takes no command until an order clears it.
- * `running` is the drive's word for a command that is in force, at a stand, too. Simulated time may stand still after an order:
- * its drive has then not answered to the end of it, and will not. @param {import("./live.js").State} state */
-function driveSaid({ sensors, phase, run, moving, rig }) {
+ * `running` is the drive's word for a command that is in force, at a stand, too. @param {import("./live.js").State} state */
+function driveSaid({ sensors, phase }) {
   const said = sensors?.drive_state ?? "";
   if (said === "silent") return "waits for the first order";
   if (said !== "running") return said;
-  if (run || moving) return phase === "moving" ? "turns the base" : "holds the base";
-  return rig.simulated ? "at rest" : said;
+  return phase === "moving" ? "turns the base" : "holds the base";
 }
 
 /** @param {{state: import("./live.js").State, estimate: import("./types").EstimateDocument | null}} props */

@@ -51,12 +51,17 @@ def with_friction(log_friction: np.ndarray, rank: int) -> Any:
     )
 
 
-def p_of_trend(log_friction: np.ndarray) -> float:
-    """p of an effect that takes the trials' trend."""
+def fits_of(log_friction: np.ndarray) -> tuple[Any, Any]:
+    """A fit without and one with an effect that takes the trials' trend."""
     course = np.arange(TRIALS) - (TRIALS - 1) / 2
     log_friction = log_friction - log_friction.mean()
     left = log_friction - course * (course @ log_friction) / (course @ course)
-    return float(chdtrc(1, gain_of(with_friction(log_friction, 0), with_friction(left, 1))))
+    return with_friction(log_friction, 0), with_friction(left, 1)
+
+
+def p_of_trend(log_friction: np.ndarray) -> float:
+    """p of an effect that takes the trials' trend."""
+    return float(chdtrc(1, gain_of(*fits_of(log_friction))))
 
 
 @pytest.mark.parametrize("scatter", [0.01, 0.05, 0.2])
@@ -64,6 +69,17 @@ def test_chance_makes_a_trend_of_friction_no_more_often_than_is_said(scatter: fl
     random = np.random.default_rng(1)
     drawn = [p_of_trend(scatter * random.standard_normal(TRIALS)) for _ in range(4000)]
     assert np.mean(np.less(drawn, 0.01)) < 0.01 + 3 * np.sqrt(0.01 / 4000)
+
+
+def test_a_likelihood_ratio_alone_finds_trends_that_chance_makes() -> None:
+    """What the F test of steadier friction is worth."""
+    random = np.random.default_rng(1)
+    found = list[float]()
+    for _ in range(4000):
+        log_friction = 0.05 * random.standard_normal(TRIALS)
+        parent, child = fits_of(log_friction)
+        found.append(chdtrc(1, max(parent.objective - child.objective, 0.0)))
+    assert np.mean(np.less(found, 0.01)) > 0.03
 
 
 def test_a_trend_far_beyond_the_trials_own_scatter_is_seen_though_friction_may_scatter_more() -> None:
