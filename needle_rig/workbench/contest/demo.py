@@ -106,7 +106,7 @@ class Story:
         return {
             "hidden": list(self.hidden),
             "target_deg": self.target_deg,
-            "verdict": lesson.diagnosis.verdict,
+            "verdict": lesson.verdict,
             "adopted": list(lesson.adopted),
             "laws": [law.as_json() for law in lesson.learnt.laws] if isinstance(lesson, LawLesson) else [],
             "found": self.found,

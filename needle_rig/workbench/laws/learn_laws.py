@@ -12,6 +12,7 @@ import numpy as np
 from needle_rig.dataset import Dataset
 from needle_rig.physics.effect import Effect
 from needle_rig.physics.needle_model import NeedleModel
+from needle_rig.workbench.estimation.baseline import Baseline
 from needle_rig.workbench.estimation.parameters import FreeParameter
 from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.laws.curve import fitted_curve
@@ -26,7 +27,7 @@ from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Say
 from needle_rig.workbench.selection.design import best_experiment
-from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
+from needle_rig.workbench.selection.diagnose import Diagnosis, best_effect, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
 from needle_rig.workbench.selection.evidence import asked_of
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, back, expand
@@ -46,15 +47,13 @@ def learn_laws(
     Raises BadInput when the dataset cannot be used, SolverError when the present model cannot be solved.
     """
     with work or Work() as at:
-        diagnosis = diagnose(dataset, library, model, max_effects=1, quick=True, work=at, say=say)
+        begun = best_effect(dataset, library, model, work=at, say=say)
         with LawCandidates(at, origin) as laws:
-            learning = _Learning(diagnosis, laws, at, say, dataset.sensor_names)
-            learnt = learning.answer()
+            learnt = _Learning(*begun, laws, at, say).answer()
         if learnt.verdict != "cannot_tell":
             return learnt
-        say("no law was found: holding several effects of the library at once against it")
-        whole = diagnose(dataset, library, model, work=at, say=say)
-        return learning.answered_by(whole, learnt.tried) or learnt
+        say("no law was found: diagnosing with the library alone")
+        return answered_by(diagnose(dataset, library, model, work=at, say=say), learnt)
 
 
 def goes_on(steps: int, reached: bool) -> bool:
@@ -89,16 +88,15 @@ class _Learning:
     """The search gone on with laws: these and effects of the library are added, swapped and dropped."""
 
     def __init__(
-        self, diagnosis: Diagnosis, laws: LawCandidates, work: Work, say: Say, sensors: Sequence[str]
+        self, baseline: Baseline, trace: SearchTrace, laws: LawCandidates, work: Work, say: Say
     ) -> None:
-        self.diagnosis, self.laws, self.work, self.say, self.sensors = diagnosis, laws, work, say, sensors
+        self.baseline, self.begun, self.laws, self.work, self.say = baseline, trace, laws, work, say
         self.terms: dict[str, Term] = {}
 
     def answer(self) -> Learnt:
         """What the model lacks, one after the other; each is looked for anew beside what was found later."""
-        trace = self.diagnosis.search
-        explained = self.diagnosis.verdict == "effect"
-        begin = at = dataclasses.replace(trace, best=trace.best if explained else trace.start)
+        trace = self.begun
+        begin = at = trace if reached(trace) else dataclasses.replace(trace, best=trace.start)
         self.work.share(at.problem)
         steps = 0
         while goes_on(steps, steps > 0 and reached(at)):
@@ -207,7 +205,11 @@ class _Learning:
     def _told(self, trace: SearchTrace) -> Learnt:
         names = laws_in(trace)
         if not names:
-            return self._without_law(trace)
+            sentence = (
+                "Something is missing that is neither an effect of the library nor one of the"
+                f" {trace.laws_tried} laws that were tried."
+            )
+            return self._answer(trace, "cannot_tell", (), (), trace.root_validation.error, sentence)
         current, error = trace.fits[trace.best][0], trace.validation(trace.best).error
         ties_most = max(len(self.terms[name].ties) for name in names)
         verdict = verdict_of(reached(trace), ties_most)
@@ -231,34 +233,6 @@ class _Learning:
         library = tuple(e for e in current.effects if e not in names and e not in trace.start)
         return self._answer(trace, verdict, laws, library, error, sentence)
 
-    def _without_law(self, trace: SearchTrace) -> Learnt:
-        sentence = (
-            "Something is missing that is neither an effect of the library nor one of the"
-            f" {trace.laws_tried} laws that were tried."
-        )
-        before = self.diagnosis.held_out_error_before
-        told = self.answered_by(self.diagnosis, trace.laws_tried)
-        return told or self._answer(trace, "cannot_tell", (), (), before, sentence)
-
-    def answered_by(self, diagnosis: Diagnosis, tried: int) -> Learnt | None:
-        """The answer without a law that a diagnosis gives after so many were tried: nothing is missing, or
-        the library holds it."""
-        if diagnosis.verdict == "unknown":
-            return None
-        if diagnosis.verdict == "none":
-            small = ", ".join(sorted(diagnosis.search.negligible))
-            seen = f" ({small} of the library: too small to matter)" if small else ""
-            sentence = f"Nothing is missing that these data show{seen}; {tried} laws were tried."
-        else:
-            named = " with ".join(diagnosis.effects)
-            sentence = f"The library holds it: {named}; {tried} laws were tried beside it."
-        # both errors in the noise of this diagnosis, which may have been measured anew
-        before, after = diagnosis.held_out_error_before, diagnosis.held_out_error_after
-        verdict: Verdict = "none" if diagnosis.verdict == "none" else "library"
-        return Learnt(
-            verdict, (), diagnosis.effects, before, after, sentence, tried, diagnosis, self.laws.origin
-        )
-
     def _answer(
         self,
         trace: SearchTrace,
@@ -268,9 +242,10 @@ class _Learning:
         after: float,
         sentence: str,
     ) -> Learnt:
-        before = self.diagnosis.held_out_error_before
-        diagnosis, origin = self.diagnosis, self.laws.origin
-        return Learnt(verdict, laws, library, before, after, sentence, trace.laws_tried, diagnosis, origin)
+        before, origin = self.begun.root_validation.error, self.laws.origin
+        return Learnt(
+            verdict, laws, library, before, after, sentence, trace.laws_tried, self.baseline, origin
+        )
 
     def _law(self, problem: Problem, current: Fit, term: Term) -> LearntLaw:
         found, ties = term.found, term.ties
@@ -302,7 +277,33 @@ class _Learning:
         other = ties[0]
         problem = problem.with_effects(found.best.made.effect(), other.best.made.effect())
         first, second = found.best.fit, other.best.fit
-        return best_experiment(problem, first, second, found.law.name, other.law.name, self.sensors)
+        sensors = self.baseline.dataset.sensor_names
+        return best_experiment(problem, first, second, found.law.name, other.law.name, sensors)
+
+
+def answered_by(diagnosis: Diagnosis, learnt: Learnt) -> Learnt:
+    """The answer that a diagnosis gives where no law was found: nothing is missing, or the library holds it;
+    `learnt` itself where it gives none."""
+    if diagnosis.verdict == "unknown":
+        return learnt
+    if diagnosis.verdict == "none":
+        small = ", ".join(sorted(diagnosis.search.negligible))
+        seen = f" ({small} of the library: too small to matter)" if small else ""
+        sentence = f"Nothing is missing that these data show{seen}; {learnt.tried} laws were tried."
+    else:
+        named = " with ".join(diagnosis.effects)
+        sentence = f"The library holds it: {named}; {learnt.tried} laws were tried beside it."
+    return dataclasses.replace(
+        learnt,
+        verdict="none" if diagnosis.verdict == "none" else "library",
+        laws=(),
+        library=diagnosis.effects,
+        # both in the noise of this diagnosis, which may have been measured anew
+        held_out_before=diagnosis.held_out_error_before,
+        held_out_after=diagnosis.held_out_error_after,
+        sentence=sentence,
+        baseline=diagnosis.baseline,
+    )
 
 
 def laws_in(trace: SearchTrace) -> list[str]:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from needle_rig.workbench.estimation.baseline import Baseline
 from needle_rig.workbench.laws.curve import Curve
 from needle_rig.workbench.laws.draft import Origin, Table, written
 from needle_rig.workbench.laws.formulas import Formula
 from needle_rig.workbench.laws.law import Law
-from needle_rig.workbench.selection.diagnose import Diagnosis
 from needle_rig.workbench.selection.documents import NextTrial
 
 Verdict = Literal["law", "none", "library", "cannot_tell"]
@@ -60,7 +60,8 @@ class Learnt:
     sentence: str
     tried: int
     """Laws that were tried."""
-    diagnosis: Diagnosis
+    baseline: Baseline
+    """The current model, fitted."""
     origin: Origin
 
     def as_json(self, seconds: float) -> dict[str, Any]:
@@ -73,7 +74,7 @@ class Learnt:
 
     def write_drafts(self, path: Path) -> tuple[Path, ...]:
         """The effect files: the first law's at `path`, those of others numbered beside it."""
-        sections_m = self.diagnosis.baseline.dataset.layout.tissue_sections_m
+        sections_m = self.baseline.dataset.layout.tissue_sections_m
         files = []
         for number, law in enumerate(self.laws, start=1):
             file = path if number == 1 else path.with_name(f"{path.stem}_{number}{path.suffix}")

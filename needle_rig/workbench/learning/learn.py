@@ -14,17 +14,18 @@ from needle_rig.workbench.learning.adopt import Refused, adopt, adopt_diagnosis
 from needle_rig.workbench.learning.diagnosis_file import keep
 from needle_rig.workbench.learning.observations import Traces
 from needle_rig.workbench.parallel import Work
-from needle_rig.workbench.selection.diagnose import Diagnosis, diagnose
+from needle_rig.workbench.selection.diagnose import diagnose
 from needle_rig.workbench.selection.explanation import errors_by_channel, uncertainties
 
 
 @dataclass(frozen=True)
 class Lesson:
-    """What runs taught: the model before (nothing added) and after, and the diagnosis between."""
+    """What runs taught: the model before (nothing added) and after."""
 
     before: SavedModel
     after: SavedModel
-    diagnosis: Diagnosis
+    verdict: str
+    """Of the diagnosis between them, or of `learn`."""
     adopted: tuple[str, ...]
 
 
@@ -42,16 +43,16 @@ def learn(
     it. Raises BadInput, SolverError.
     """
     found = diagnose(dataset, library, max_effects=max_effects, work=work, say=say)
-    before = fitted(found)
+    before = saved_fit(found.baseline)
     if not found.effects:
-        return Lesson(before, before, found, ())
+        return Lesson(before, before, found.verdict, ())
     say(f"adopting {' and '.join(found.effects)}")
     try:
         after = adopt_diagnosis(keep(found, Traces(dataset)), effects=found.effects)
     except Refused as refusal:
         say(str(refusal))
-        return Lesson(before, before, found, ())
-    return Lesson(before, after, found, after.history[-1].added)
+        return Lesson(before, before, found.verdict, ())
+    return Lesson(before, after, found.verdict, after.history[-1].added)
 
 
 def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Sequence[str]) -> SavedModel:
@@ -63,11 +64,6 @@ def fit_known(dataset: Dataset, library: Mapping[str, type[Effect]], effects: Se
         saved = adopt(Traces(dataset), effect, library, saved, force=True, name=dataset.name)
     assert saved is not None
     return saved
-
-
-def fitted(found: Diagnosis) -> SavedModel:
-    """The current model of a diagnosis, fitted to its dataset, with its errors as history."""
-    return saved_fit(found.baseline)
 
 
 def saved_fit(baseline: Baseline) -> SavedModel:

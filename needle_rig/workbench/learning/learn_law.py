@@ -15,7 +15,7 @@ from needle_rig.workbench.laws.draft import Origin
 from needle_rig.workbench.laws.learn_laws import learn_laws
 from needle_rig.workbench.laws.learnt import Learnt
 from needle_rig.workbench.learning.adopt import Refused, adopt
-from needle_rig.workbench.learning.learn import Lesson, fitted
+from needle_rig.workbench.learning.learn import Lesson, saved_fit
 from needle_rig.workbench.learning.observations import Traces
 from needle_rig.workbench.parallel import Work
 
@@ -61,9 +61,9 @@ def learn_law(
     """
     observed = Traces(dataset)
     found = laws_of(observed, library, work=work, say=say)
-    before = fitted(found.diagnosis)
+    before = saved_fit(found.baseline)
     if found.verdict not in ("law", "library"):
-        return LawLesson(before, before, found.diagnosis, (), found, library)
+        return LawLesson(before, before, found.verdict, (), found, library)
     drafts = {path.stem: load_effect(path) for path in found.write_drafts(draft)}
     known, saved, adopted = {**library, **drafts}, None, []
     for name in (*found.library, *drafts):
@@ -74,4 +74,4 @@ def learn_law(
             say(str(refusal))
             continue
         adopted.append(name)
-    return LawLesson(before, saved or before, found.diagnosis, tuple(adopted), found, known)
+    return LawLesson(before, saved or before, found.verdict, tuple(adopted), found, known)

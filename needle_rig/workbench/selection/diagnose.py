@@ -114,68 +114,96 @@ def diagnose(
     Raises BadInput when the dataset cannot be used, SolverError when the current model cannot be solved.
     """
     with work or Work() as at:
-        baseline = with_starts_of(fit_baseline(dataset, model, library, say=say), dataset)
-        names = baseline.problem.candidates(baseline.current.effects)
-        say("trying every effect")
-
-        def in_turns(of: Baseline, given: Dataset, begin: Fit | None) -> tuple[Baseline, SearchTrace]:
-            """Effects, then the noise and the initial twists beside them, in turn until none changes.
-
-            Where initial twists are unknown, each turn adds one effect: under those of a model that lacks
-            something, a second one would stand for them.
-            """
-            limit = 1 if quick else max_effects
-            most = 1 if starts_are_unknown(of) else limit
-            for turn in range(MOST_TURNS):
-                trace = search(
-                    *(of.problem, names, of.current, of.validation),
-                    max_effects=most,
-                    work=at,
-                    quick=quick,
-                    begin=begin,
-                )
-                other = renewed(of, given, trace) if turn + 1 < MOST_TURNS else None
-                if other is None and (most == limit or len(trace.named(trace.best)) < most):
-                    break
-                if other is not None:
-                    of, told = other
-                    say(told)
-                most = min(most + 1, limit)
-                best, _ = trace.fits[trace.best]
-                begin = fit(of.problem, best.effects, best.vector)
-            return of, trace
-
-        def competed(of: Baseline, given: Dataset) -> tuple[Baseline, SearchTrace]:
-            """In turns, and anew from the twists of another effect where what was found misses something."""
-            of, trace = in_turns(of, given, None)
-            found, _ = trace.fits[trace.best]
-            if not starts_are_unknown(of) or excess(trace.problem, found.objective) <= 0.0:
-                return of, trace
-            say("trying every effect with initial twists of its own")
-            own = with_own_starts(of, given, names, deviance(trace.problem, found), at)
-            return (of, trace) if own is None else in_turns(own[0], given, own[1])
-
-        def concluded(of: Baseline, trace: SearchTrace) -> Diagnosis:
-            say("looking for what cannot be told apart")
-            apart, rivals = find_rivals(trace, at)
-            say("testing the answer against the discretisation error")
-            return _conclude(of, apart, rivals, dataset.sensor_names)
-
-        baseline, trace = competed(baseline, dataset)
-        found = concluded(baseline, trace)
+        how = _How(library, model, 1 if quick else max_effects, quick, at, say)
+        found = _concluded(how, *_competed(how, dataset))
         odd = odd_trial(*found.concluded[:2]) if found.verdict == "unknown" else None
         if odd is not None and odd.repeated:
             say(f"trying every effect again, without {odd.file}")
-            rest_of = without(dataset, odd)
-            others = with_starts_of(fit_baseline(rest_of, model, library), rest_of)
-            others, rest = competed(others, rest_of)
-            anew = concluded(others, rest)
+            anew = _concluded(how, *_competed(how, without(dataset, odd)))
             if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
                 found = dataclasses.replace(anew, notes=(odd.sentence(left_out=True), *anew.notes))
                 odd = None
         if odd is not None:
             found = dataclasses.replace(found, notes=(odd.sentence(left_out=False), *found.notes))
     return dataclasses.replace(found, notes=(QUICK, *found.notes)) if quick else found
+
+
+def best_effect(
+    dataset: Dataset,
+    library: Mapping[str, type[Effect]],
+    model: NeedleModel | None = None,
+    *,
+    work: Work,
+    say: Say = lambda _: None,
+) -> tuple[Baseline, SearchTrace]:
+    """The search that a quick diagnosis concludes from: at the best effect alone, or at the current model.
+
+    Raises BadInput, SolverError as `diagnose`.
+    """
+    return _competed(_How(library, model, 1, True, work, say), dataset)
+
+
+@dataclass(frozen=True)
+class _How:
+    """What a dataset is held against, and how far the search goes."""
+
+    library: Mapping[str, type[Effect]]
+    model: NeedleModel | None
+    max_effects: int
+    quick: bool
+    work: Work
+    say: Say
+
+
+def _competed(how: _How, given: Dataset) -> tuple[Baseline, SearchTrace]:
+    """The effects that compete for a dataset as recorded; anew from the initial twists of another effect
+    where what was found misses something."""
+    of = with_starts_of(fit_baseline(given, how.model, how.library, say=how.say), given)
+    names = of.problem.candidates(of.current.effects)
+    how.say("trying every effect")
+    of, trace = _in_turns(how, of, given, names, None)
+    found, _ = trace.fits[trace.best]
+    if not starts_are_unknown(of) or excess(trace.problem, found.objective) <= 0.0:
+        return of, trace
+    how.say("trying every effect with initial twists of its own")
+    own = with_own_starts(of, given, names, deviance(trace.problem, found), how.work)
+    return (of, trace) if own is None else _in_turns(how, own[0], given, names, own[1])
+
+
+def _in_turns(
+    how: _How, of: Baseline, given: Dataset, names: tuple[str, ...], begin: Fit | None
+) -> tuple[Baseline, SearchTrace]:
+    """Effects, then the noise and the initial twists beside them, in turn until none changes.
+
+    Where initial twists are unknown, each turn adds one effect: under those of a model that lacks something,
+    a second one would stand for them.
+    """
+    most = 1 if starts_are_unknown(of) else how.max_effects
+    for turn in range(MOST_TURNS):
+        trace = search(
+            *(of.problem, names, of.current, of.validation),
+            max_effects=most,
+            work=how.work,
+            quick=how.quick,
+            begin=begin,
+        )
+        other = renewed(of, given, trace) if turn + 1 < MOST_TURNS else None
+        if other is None and (most == how.max_effects or len(trace.named(trace.best)) < most):
+            break
+        if other is not None:
+            of, told = other
+            how.say(told)
+        most = min(most + 1, how.max_effects)
+        best, _ = trace.fits[trace.best]
+        begin = fit(of.problem, best.effects, best.vector)
+    return of, trace
+
+
+def _concluded(how: _How, of: Baseline, trace: SearchTrace) -> Diagnosis:
+    how.say("looking for what cannot be told apart")
+    apart, rivals = find_rivals(trace, how.work)
+    how.say("testing the answer against the discretisation error")
+    return _conclude(of, apart, rivals, of.dataset.sensor_names)
 
 
 def _conclude(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -73,8 +72,7 @@ def answered(dataset: Any, library: Any, _model: Any, **_: Any) -> Learnt:
     value = sine.at(at)
     curve = Curve(at, value, value - 0.01, value + 0.01, np.ones(121), (value, value))
     law = LearntLaw(SLIT, (), 40.0, 1.0, "sine: …", (), curve, sine, None)
-    diagnosis: Any = SimpleNamespace(baseline=baseline, verdict="unknown")
-    return Learnt("law", (law,), (), 40.0, 1.0, "A torque.", 70, diagnosis, Origin("runs", "0" * 64, "-"))
+    return Learnt("law", (law,), (), 40.0, 1.0, "A torque.", 70, baseline, Origin("runs", "0" * 64, "-"))
 
 
 @pytest.mark.slow

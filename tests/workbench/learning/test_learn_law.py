@@ -6,7 +6,6 @@ What `learn` would answer is written here, so that no search is run.
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -49,9 +48,9 @@ class ThirdHarmonic(Effect):
 
 def answer(verdict: Any, formula: Formula = SINE) -> Learnt:
     data = dataset(ThirdHarmonic(2.0), seed=31)
-    diagnosis: Any = SimpleNamespace(baseline=fit_baseline(data, None, few()))
+    baseline = fit_baseline(data, None, few())
     law = LearntLaw(THIRD, (), 3.0, 1.0, "sine: …", (), FLAT, formula, None)
-    return Learnt(verdict, (law,), (), 3.0, 1.0, "An error.", 70, diagnosis, Origin("hidden", "ab" * 32, "-"))
+    return Learnt(verdict, (law,), (), 3.0, 1.0, "An error.", 70, baseline, Origin("hidden", "ab" * 32, "-"))
 
 
 def learnt(monkeypatch: Any, tmp_path: Any, said: Learnt) -> Any:
