@@ -156,9 +156,10 @@ class Stops:
         time.sleep(WATCHED_S)
         late = enabled_s[before:]
         ended = "run aborted" if status == 202 else "start refused"
-        if kind == "start sent while the stop was answered" and status == 202 and late:
-            # its first byte may have come after the acknowledgement: then it is a start anew
-            ended, late = "started anew", []
+        if kind == "start sent while the stop was answered" and status == 202:
+            # its first byte may have come after the acknowledgement: then it is a start anew, which a busy
+            # machine begins after the watch
+            ended, late = "started anew" if late else ended, []
             self._ask("/stop", {})
         if late or status not in (202, 409):
             case = {"number": number, "kind": kind, "name": name, "lease": lease is not None}
