@@ -36,6 +36,7 @@ WINDOW_S = 22.0
 """The daemon tells lateness over its newest 4096 ticks: 20 s at 200 Hz."""
 SLIDES = 200
 STOPS = 5
+HEAP_READINGS = 10
 FRAMES = """() => {
     window.frames_ = [];
     const count = (now) => { window.frames_.push(now); requestAnimationFrame(count); };
@@ -239,10 +240,14 @@ def live(browser: Browser, rig: Started, minutes: float) -> list[tuple[str, str,
 
 
 def heap_mb(session: CDPSession) -> float:
-    """What the page's modules hold."""
-    session.send("HeapProfiler.collectGarbage")
-    found: dict[str, Any] = session.send("Performance.getMetrics")
-    return float(next(m["value"] for m in found["metrics"] if m["name"] == "JSHeapUsedSize")) / 1e6
+    """What the page's modules hold: the least of some readings, as a live page allocates between a
+    collection and its reading."""
+    readings = []
+    for _ in range(HEAP_READINGS):
+        session.send("HeapProfiler.collectGarbage")
+        found: dict[str, Any] = session.send("Performance.getMetrics")
+        readings.append(next(m["value"] for m in found["metrics"] if m["name"] == "JSHeapUsedSize"))
+    return float(min(readings)) / 1e6
 
 
 def processor_s(pid: int) -> float:
