@@ -27,7 +27,7 @@ from needle_rig.workbench.parallel import Work
 from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection.answer import Say
 from needle_rig.workbench.selection.design import best_experiment
-from needle_rig.workbench.selection.diagnose import Diagnosis, best_effect, diagnose
+from needle_rig.workbench.selection.diagnose import Diagnosis, best_effect, concluded, diagnose
 from needle_rig.workbench.selection.documents import NextTrial
 from needle_rig.workbench.selection.evidence import asked_of
 from needle_rig.workbench.selection.search import EffectSet, SearchTrace, back, expand
@@ -52,8 +52,11 @@ def learn_laws(
             learnt = _Learning(*begun, laws, at, say).answer()
         if learnt.verdict != "cannot_tell":
             return learnt
-        say("no law was found: diagnosing with the library alone")
-        return answered_by(diagnose(dataset, library, model, work=at, say=say), learnt)
+        told = learnt if learnt.laws else answered_by(concluded(*begun, work=at, say=say), learnt)
+        if told is learnt:
+            say("no law was found: diagnosing with the library alone")
+            told = answered_by(diagnose(dataset, library, model, work=at, say=say), learnt)
+        return told
 
 
 def goes_on(steps: int, reached: bool) -> bool:

@@ -115,11 +115,11 @@ def diagnose(
     """
     with work or Work() as at:
         how = _How(library, model, 1 if quick else max_effects, quick, at, say)
-        found = _concluded(how, *_competed(how, dataset))
+        found = concluded(*_competed(how, dataset), work=at, say=say)
         odd = odd_trial(*found.concluded[:2]) if found.verdict == "unknown" else None
         if odd is not None and odd.repeated:
             say(f"trying every effect again, without {odd.file}")
-            anew = _concluded(how, *_competed(how, without(dataset, odd)))
+            anew = concluded(*_competed(how, without(dataset, odd)), work=at, say=say)
             if anew.verdict != "unknown" and len(anew.effects) <= POLICY.verdict.at_any_value:
                 found = dataclasses.replace(anew, notes=(odd.sentence(left_out=True), *anew.notes))
                 odd = None
@@ -141,6 +141,15 @@ def best_effect(
     Raises BadInput, SolverError as `diagnose`.
     """
     return _competed(_How(library, model, 1, True, work, say), dataset)
+
+
+def concluded(of: Baseline, trace: SearchTrace, *, work: Work, say: Say = lambda _: None) -> Diagnosis:
+    """The diagnosis at which a search ends: its rivals and what it leaves are looked at."""
+    say("looking for what cannot be told apart")
+    work.share(trace.problem)
+    apart, rivals = find_rivals(trace, work)
+    say("testing the answer against the discretisation error")
+    return _conclude(of, apart, rivals, of.dataset.sensor_names)
 
 
 @dataclass(frozen=True)
@@ -197,13 +206,6 @@ def _in_turns(
         best, _ = trace.fits[trace.best]
         begin = fit(of.problem, best.effects, best.vector)
     return of, trace
-
-
-def _concluded(how: _How, of: Baseline, trace: SearchTrace) -> Diagnosis:
-    how.say("looking for what cannot be told apart")
-    apart, rivals = find_rivals(trace, how.work)
-    how.say("testing the answer against the discretisation error")
-    return _conclude(of, apart, rivals, of.dataset.sensor_names)
 
 
 def _conclude(
