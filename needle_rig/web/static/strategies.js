@@ -3,7 +3,7 @@ import { Working, alive, begin, jobs, result } from "./jobs.js";
 import { ask } from "./net.js";
 import { ShaftPicture } from "./shaft.js";
 import { about, modelCalled, place, refuse, route } from "./store.js";
-import { computed, effect, html, number, signal, untracked, typeset, useEffect, words, written, prose } from "./ui.js";
+import { computed, effect, html, number, signal, plain, untracked, typeset, useEffect, words, written, prose } from "./ui.js";
 
 const targets = signal("45");
 const seeds = signal("2");
@@ -89,7 +89,7 @@ function Table({ found }) {
     <div class="scroll" tabindex="0" role="group" aria-label="Strategies"><table><thead><tr><th>strategy</th><th>worst error / °</th><th>tip lag / °</th><th>mean error / °</th><th>torque / N·mm</th><th>rotations</th><th>time / s</th></tr></thead>
       <tbody>${rows.map((row) => html`<tr class=${row.strategy === name.value ? "named" : ""}><th scope="row"><button title=${prose(told(row.strategy))} aria-pressed=${row.strategy === name.value} disabled=${!found.sequences[row.strategy]}
           onClick=${() => { name.value = row.strategy; step.value = 0; }}>${words(row.strategy)}</button></th>
-        ${row.refused && !row.worst_deg ? html`<td class="text" colspan="6">${row.refused}</td>` : html`<td>${both(row.worst_deg, 1)}</td><td>${both(row.tip_lag_deg, 1)}</td><td>${both(row.mean_deg, 1)}</td><td>${both(row.torque_nmm, 3)}</td><td>${number(row.rotations, 0)}</td><td>${number(row.time_s, 1)}</td>`}</tr>`)}</tbody></table></div></section>`;
+        ${row.refused && !row.worst_deg ? html`<td class="text" colspan="6">${plain(row.refused)}</td>` : html`<td>${both(row.worst_deg, 1)}</td><td>${both(row.tip_lag_deg, 1)}</td><td>${both(row.mean_deg, 1)}</td><td>${both(row.torque_nmm, 3)}</td><td>${number(row.rotations, 0)}</td><td>${number(row.time_s, 1)}</td>`}</tr>`)}</tbody></table></div></section>`;
 }
 
 /** @param {{found: Found}} props */

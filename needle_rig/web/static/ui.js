@@ -39,6 +39,21 @@ export const typeset = (text) => prose(text).split(/([θτ]_[a-z]+|\bl_[a-z]+)/)
 /** A sentence of the program as a page begins it. @param {string} text */
 export const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
+/** A command of a terminal, or an option of one; `web` and `daemon` start what no page can start. */
+const COMMAND = /(?:^|[:(`] ?|\bwith )needle-rig (?!web\b|daemon\b)[a-z]|(?:^|[ (])--[a-z]|^option [a-z_]+$/;
+/** Up to the clause that gives a command. @param {string} text */
+function clausesBefore(text) {
+  const at = text.search(COMMAND);
+  if (at < 0) return text;
+  const told = text.slice(0, at + 1).replace(/[;:,][^;:,]*$/, "");
+  return told.length > at ? "" : told.replace(/[;,][^;,]* with$/, "");
+}
+/** A sentence of the program as the page tells it: without what a terminal would do next, for which it has buttons. @param {string} text */
+export const plain = (text) => text.split(" Also: ").map((part) => {
+  const named = part.replace(/`needle-rig ([a-z]+)`/g, "$1").replace(/then: needle-rig ([a-z]+)$/, "then $1");
+  return clausesBefore(named.replace(/ \(([^()]*)\)/g, (_, inner) => (clausesBefore(inner) ? ` (${clausesBefore(inner)})` : ""))) || part;
+}).join(" Also: ");
+
 /** What stands in the field of this event. @param {Event} event */
 export const written = (event) => /** @type {HTMLInputElement} */ (event.target).value;
 /** Whether its box is ticked. @param {Event} event */
