@@ -30,6 +30,16 @@ export const measured = (value, uncertainty) => {
   return `${number(value, decimals)} ± ${number(uncertainty, decimals)}`;
 };
 
+/** A distance in standard deviations; beyond 8 of them a figure says no more. Its sign stands before it, or in words behind.
+ * @param {number} sigmas @param {string} [more] @param {string} [less] */
+export const distance = (sigmas, more = "", less = "") => {
+  const far = Math.abs(sigmas) > FARTHEST_SIGMAS;
+  const told = `${more ? "" : sigmas < 0 ? "−" : "+"}${far ? FARTHEST_SIGMAS : number(Math.abs(sigmas), 1)} σ`;
+  return `${far ? (more ? "more than " : "beyond ") : ""}${told}${more && ` ${sigmas < 0 ? less : more}`}`;
+};
+/** As `FARTHEST_SIGMAS` of the program's own sentences. */
+const FARTHEST_SIGMAS = 8;
+
 /** A docstring as people read it: without marks of code. @param {string} text */
 export const prose = (text) => text.replaceAll("`", "");
 

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { page } from "./setup.mjs";
 
-const { plain } = await page("ui.js");
+const { distance, plain } = await page("ui.js");
 
 // sentences of the program beside what the page tells of them
 const TOLD = [
@@ -24,4 +24,12 @@ const TOLD = [
 
 test("the page tells a sentence without the commands of a terminal", () => {
   for (const [sentence, told] of TOLD) assert.equal(plain(sentence), told);
+});
+
+test("a distance is a figure up to 8 σ, as the program's own sentences have it", () => {
+  assert.equal(distance(2.54), "+2.5 σ");
+  assert.equal(distance(-7.96), "−8.0 σ");
+  assert.equal(distance(-2540), "beyond −8 σ");
+  assert.equal(distance(-2540, "above", "below"), "more than 8 σ below");
+  assert.equal(distance(6, "above", "below"), "6.0 σ above");
 });
