@@ -25,7 +25,7 @@ CONTRADICTS = 1e-3
 LEAST_P = 1e-9
 """p value that is reported: a normal distribution is not known farther out."""
 FARTHEST_SIGMAS = 8.0
-"""Distance that is told as a figure: farther out (p = 1e-15) more of it says no more. The page has the same."""
+"""Distance up to which a figure is told: farther out (p = 1e-15) it says no more. The page has the same."""
 MOST_DECIMALS = 9
 
 
