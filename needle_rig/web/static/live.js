@@ -6,7 +6,7 @@ import { Legend, Plot, edges, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
 import { answered, moveOn, sendOn } from "./stop.js";
-import { batch, html, number, plain, sentence, signal, useEffect, useSignal, typeset, words, written } from "./ui.js";
+import { Cells, Heads, batch, html, number, plain, sentence, signal, useEffect, useSignal, typeset, words, written } from "./ui.js";
 
 const SILENT_MS = 800;
 const AGAIN_MS = 300;
@@ -294,14 +294,12 @@ function Orders({ state }) {
 /** What the plan expected before each motion, beside what came. @param {{state: State}} props */
 function Settled({ state }) {
   if (!state.settled.length) return null;
-  const halls = state.rig.hall_positions_mm.length;
-  return html`<section class="card wide"><h2>Motions: predicted and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table>
-    <thead><tr><th>motion</th><th>waypoint / °</th><th>base / °</th><th>torque / N·mm</th>
-      <th>predicted lag / °</th><th>measured lag / °</th><th>difference / °</th>
-      ${Array.from({ length: halls }, (_, k) => html`<th>hall ${k + 1} / °</th>`)}</tr></thead>
-    <tbody>${state.settled.map((m) => html`<tr><th scope="row">${words(m.phase)}</th>
-      <td>${number(m.waypoint_deg, 1)}</td><td>${number(m.base_deg, 2)}</td><td>${number(m.torque_nmm, 4)}</td>
-      <td>${number(m.predicted_lag_deg, 1)}</td><td>${number(m.tip_lag_deg, 1)}</td>
-      <td>${number(m.tip_lag_deg === null || m.predicted_lag_deg === null ? null : m.tip_lag_deg - m.predicted_lag_deg, 1)}</td>
-      ${m.hall_deg.map((a) => html`<td>${number(a, 1)}</td>`)}</tr>`)}</tbody></table></div></section>`;
+  const names = ["waypoint / °", "base / °", "torque / N·mm", "predicted lag / °", "measured lag / °", "difference / °",
+    ...state.rig.hall_positions_mm.map((_, k) => `hall ${k + 1} / °`)];
+  return html`<section class="card wide"><h2>Motions: predicted and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table class="stacked numbers">
+    <${Heads} of="motion" names=${names} />
+    <tbody>${state.settled.map((m) => html`<tr><th scope="row">${words(m.phase)}</th><${Cells} names=${names} values=${[
+      number(m.waypoint_deg, 1), number(m.base_deg, 2), number(m.torque_nmm, 4), number(m.predicted_lag_deg, 1), number(m.tip_lag_deg, 1),
+      number(m.tip_lag_deg === null || m.predicted_lag_deg === null ? null : m.tip_lag_deg - m.predicted_lag_deg, 1),
+      ...m.hall_deg.map((a) => number(a, 1))]} /></tr>`)}</tbody></table></div></section>`;
 }

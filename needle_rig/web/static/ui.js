@@ -8,6 +8,12 @@ export { signal, computed, effect, batch, untracked, useSignal } from "./vendor/
 
 export const html = htm.bind(h);
 
+/** Headings of a table of numbers. A narrow page has a card for each row, whose values have their names beside them (`Cells`).
+ * @param {{of: string, names: string[]}} props */
+export const Heads = ({ of, names }) => html`<thead><tr><th scope="col">${of}</th>${names.map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>`;
+/** Cells of a row, each with its heading. @param {{names: string[], values: string[]}} props */
+export const Cells = ({ names, values }) => names.map((name, k) => html`<td data-label=${name}>${values[k]}</td>`);
+
 /** A number with a fixed count of decimals, or a dash where there is none.
  * @param {number | string | null | undefined} value @param {number} decimals */
 export const number = (value, decimals) =>

@@ -218,7 +218,7 @@ def test_the_names_below_the_map_stand_apart_and_each_motion_has_one(motions: in
     assert len({label.get_text() for label in labels}) == len(labels) == names
     boxes = [label.get_window_extent() for label in labels]
     assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
-    assert np.shape(figure.axes[0].images[0].get_array()) == (1, 2 * motions)
+    assert figure.axes[0].images[0].get_size() == (1, 2 * motions)
 
 
 @pytest.mark.whole
