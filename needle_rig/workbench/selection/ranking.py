@@ -21,7 +21,7 @@ TOLD_PULL_SIGMAS = 3.0
 TOLD_RIVALS = 2
 """Ties that are reported against an effect, the closest first."""
 TOLD_TIMES = 1.1
-"""Ratio of errors on commands left out, with and without an effect, from which it is told."""
+"""Ratio of errors on commands left out, with and without an effect, from which it is reported."""
 
 
 def order(search: SearchTrace, named: list[str]) -> list[str]:

@@ -25,7 +25,7 @@ CONTRADICTS = 1e-3
 LEAST_P = 1e-9
 """p value that is reported: a normal distribution is not known farther out."""
 FARTHEST_SIGMAS = 8.0
-"""Distance up to which a figure is told: farther out (p = 1e-15) it says no more. The page has the same."""
+"""Distance up to which a figure is given: farther out (p = 1e-15) it says no more. The page has the same."""
 MOST_DECIMALS = 9
 
 
@@ -136,7 +136,7 @@ def spelt_p(p: float) -> str:
 
 
 def spelt_sigmas(sigmas: float) -> str:
-    """How far two things are apart, without a sign; beyond `FARTHEST_SIGMAS` no chance is told any more."""
+    """How far two things are apart, without a sign; beyond `FARTHEST_SIGMAS` no figure is given."""
     if abs(sigmas) > FARTHEST_SIGMAS:
         return f"more than {FARTHEST_SIGMAS:g}σ"
     return f"{abs(sigmas):.1f}σ"
