@@ -168,6 +168,11 @@ class Strategy:
         raise NotImplementedError
 
 
+def sentence(kind: type[Strategy]) -> str:
+    """What a strategy does, for a person who sees none of its options: the first line of its docstring."""
+    return (inspect.getdoc(kind) or kind.name).splitlines()[0]
+
+
 def find_strategies() -> Library[type[Strategy]]:
     """Every strategy by the name of its file: the shipped ones, then one's own; broken ones are named."""
     return library("strategies", shipped_strategies(), folders_of("strategies"), strategy_in)

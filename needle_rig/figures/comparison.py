@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from needle_rig.figures.figure import Figure, png
 from needle_rig.figures.page import Picture, items, paragraph, row, shown, table, write_page
-from needle_rig.figures.style import COLOURS, HELD, LETTERS_PT, REFIT, SAMPLES, above, column, spelt, titled
+from needle_rig.figures.style import (
+    COLOURS,
+    HELD,
+    LETTERS_PT,
+    PAGE_IN,
+    REFIT,
+    SAMPLES,
+    above,
+    column,
+    spelt,
+    titled,
+)
 from needle_rig.workbench.learning.compare import TraceComparison
 from needle_rig.workbench.learning.misfit import modelled
 from needle_rig.workbench.learning.places import NOISE_LIMIT, motion_words, scale_of
@@ -17,6 +29,14 @@ from needle_rig.workbench.learning.places import NOISE_LIMIT, motion_words, scal
 SHOWN_TRIALS = 4
 MAP_SIGMAS = (0.5, 100.0)
 """Ends of the map's colour scale, the same for all data, so that maps can be laid side by side."""
+STATES = ("moving", "settled")
+"""Of a motion, in their order in time."""
+MOST_NUMBERED = 24
+"""Columns of the map whose cells have room for a number."""
+MOST_MOTIONS = 36
+"""Names that have room below the map, upright."""
+MOST_LETTERS = 90
+"""Of these names in one line."""
 SHOWN_SAMPLES = 2000
 """Samples of a trace that are drawn, at most twice as many: more than a picture has dots across."""
 
@@ -107,26 +127,24 @@ def residual_map(found: TraceComparison) -> Figure:
 
     places = found.shown.places
     names = list(dict.fromkeys(p.channel for p in places))
-    columns = list(dict.fromkeys((p.motion, p.direction, p.state) for p in places))
+    motions = list(dict.fromkeys((p.motion, p.direction) for p in places))
+    seen = {(p.motion, p.direction, p.state) for p in places}
+    columns = [(*motion, state) for motion in motions for state in STATES if (*motion, state) in seen]
     values = np.full((len(names), len(columns)), np.nan)
     for place in places:
         values[names.index(place.channel), columns.index((place.motion, place.direction, place.state))] = (
             place.sigmas
         )
-    figure = Figure(
-        figsize=(max(6.0, 0.34 * len(columns) + 2.0), 0.45 * len(names) + 2.2), layout="constrained"
-    )
+    figure = Figure(figsize=(PAGE_IN, 0.35 * len(names) + 2.0), layout="constrained")
     axis = figure.subplots()
     low, top = MAP_SIGMAS
-    image = axis.imshow(np.clip(values, low, top), cmap="magma_r", norm=LogNorm(low, top), aspect="auto")
-    axis.set_title(" ".join(found.headline()).split(":")[0], fontsize=9, loc="left")
-    axis.set_yticks(range(len(names)), [spelt(n) for n in names])
-    arrows = {"up": "↑", "down": "↓", "": ""}
-    labels = [
-        f"{motion_words(m)}{arrows[w]} {'moving' if s == 'moving' else 'settled'}" for m, w, s in columns
-    ]
-    axis.set_xticks(range(len(columns)), labels, rotation=90, fontsize=7)
-    if len(columns) <= 24:
+    image = axis.imshow(
+        np.clip(values, low, top), cmap="magma_r", norm=LogNorm(low, top), aspect="auto", interpolation="none"
+    )
+    titled(axis, " ".join(found.headline()).split(":")[0])
+    axis.set_yticks(range(len(names)), [spelt(n) for n in names], fontsize=LETTERS_PT)
+    _motions_below(axis, columns)
+    if len(columns) <= MOST_NUMBERED:
         for i in range(len(names)):
             for j in range(len(columns)):
                 if np.isfinite(values[i, j]):
@@ -140,10 +158,36 @@ def residual_map(found: TraceComparison) -> Figure:
                         fontsize=LETTERS_PT,
                         color="w" if dark else "k",
                     )
-    bar = figure.colorbar(image, label="error / σ of the noise", extend="both")
+    bar = figure.colorbar(image, extend="both", pad=0.01, aspect=15)
+    bar.set_label("error / σ of the noise", size=LETTERS_PT)
     bar.set_ticks([1.0, NOISE_LIMIT, 10.0, 30.0, 100.0], labels=["1", "3", "10", "30", "100"])
+    bar.ax.tick_params(labelsize=LETTERS_PT)
     bar.ax.axhline(NOISE_LIMIT, color=COLOURS[5], lw=2)
     return figure
+
+
+def _motions_below(axis: Any, columns: Sequence[tuple[str, str, str]]) -> None:
+    """A name below the columns of each motion, as many as have room, and a line between two motions."""
+    arrows = {"up": " ↑", "down": " ↓", "": ""}
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, (motion, direction, _) in enumerate(columns):
+        groups.setdefault((motion, direction), []).append(k)
+    step = -(-len(groups) // MOST_MOTIONS)
+    told = list(groups.items())[::step]
+    words = [motion_words(motion) + arrows[direction] for (motion, direction), _ in told]
+    upright = len(words) * max(map(len, words), default=0) > MOST_LETTERS
+    axis.set_xticks(
+        [float(np.mean(where)) for _, where in told],
+        words,
+        rotation=90 if upright else 0,
+        fontsize=LETTERS_PT,
+    )
+    if step == 1:
+        ends = [where[0] - 0.5 for where in list(groups.values())[1:]]
+        axis.vlines(ends, *axis.get_ylim(), color="w", lw=0.5)
+    axis.set_xlabel(
+        "motion and direction of the base; moving on the left, settled on the right", size=LETTERS_PT
+    )
 
 
 def pulls(found: TraceComparison) -> Figure:

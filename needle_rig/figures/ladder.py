@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from needle_rig.figures.figure import Figure
+from needle_rig.figures.style import spelt
 from needle_rig.model import ChannelErrors, SavedModel
 from needle_rig.workbench.learning.history import ladder
 
@@ -46,7 +47,7 @@ def ladder_figure(saved: SavedModel) -> Figure:
                     color="tab:red",
                 )
         axis.set_title(title, fontsize=9)
-        axis.set_xticks(place, [s.label for s in steps], rotation=20, ha="right", fontsize=7)
+        axis.set_xticks(place, [spelt(s.label) for s in steps], rotation=20, ha="right", fontsize=7)
         axis.margins(x=0.2)
         _logarithmic(axis, as_numbers)
 
@@ -63,7 +64,7 @@ def ladder_figure(saved: SavedModel) -> Figure:
         errors = [s.channels.get(name, ChannelErrors()) for s in steps]
         draw(
             axis,
-            name.replace("_deg", " / °").replace("_nmm", " / N·mm"),
+            spelt(name.replace("_deg", " / °").replace("_nmm", " / N·mm")),
             [e.training_after for e in errors],
             [e.held_out_after for e in errors],
             [e.floor for e in errors],
@@ -78,7 +79,7 @@ def _laws(saved: SavedModel) -> list[str]:
     """What each step added, in the words of the effect's file."""
     added = [name for entry in saved.history for name in entry.added]
     words = {e.name(): (type(e).__doc__ or "").split("\n")[0] for e in saved.model.effects}
-    return [f"+ {name}: {words[name]}" for name in dict.fromkeys(added) if words.get(name)]
+    return [f"+ {spelt(name)}: {words[name]}" for name in dict.fromkeys(added) if words.get(name)]
 
 
 def _logarithmic(axis: Any, values: np.ndarray[Any, Any]) -> None:

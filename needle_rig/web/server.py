@@ -18,7 +18,7 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from needle_rig.control.strategy import find_strategies
+from needle_rig.control.strategy import find_strategies, sentence
 from needle_rig.errors import Aborted, BadInput, NeedleRigError, RigFault
 from needle_rig.model import parameter_sets
 from needle_rig.physics.machine import MACHINES, NEEDLE
@@ -148,7 +148,7 @@ class Page:
                 # what a recording may be of, if of no needle
                 "machines": [{"key": key, "name": m.text} for key, m in MACHINES.items() if key != NEEDLE],
                 "strategies": [
-                    {"name": name, "text": (kind.__doc__ or name).strip().splitlines()[0]}
+                    {"name": name, "text": sentence(kind)}
                     for name, kind in find_strategies().items()
                     if name not in NEEDS_OTHERS
                 ],

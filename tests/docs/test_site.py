@@ -48,7 +48,10 @@ class Seen(HTMLParser):
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site, built strictly: whatever MkDocs warns of ends the build."""
+    """The site, built strictly: whatever MkDocs warns of ends the build.
+
+    Some 12 s of a core, of whichever test asks first: all that ask are marked `whole`.
+    """
     for package in ("mkdocs", "material", "mkdocstrings", "latex2mathml"):
         pytest.importorskip(package)
     folder = tmp_path_factory.mktemp("docs") / "site"
@@ -69,6 +72,7 @@ def seen(site: Path) -> dict[Path, Seen]:
     return {page: Seen(page) for page in site.rglob("*.html")}
 
 
+@pytest.mark.whole
 def test_every_link_leads_somewhere(site: Path, seen: dict[Path, Seen]) -> None:
     dead = []
     for page, what in seen.items():
@@ -86,6 +90,7 @@ def test_every_link_leads_somewhere(site: Path, seen: dict[Path, Seen]) -> None:
     assert not dead
 
 
+@pytest.mark.whole
 def test_every_page_is_in_the_menu(site: Path, seen: dict[Path, Seen]) -> None:
     start = site / "index.html"
     reached = {(start.parent / urlsplit(link).path).resolve() for link in seen[start].links}
@@ -105,6 +110,7 @@ def other_hosts(name: str, text: str) -> list[str]:
     return found
 
 
+@pytest.mark.whole
 def test_nothing_is_loaded_from_another_host(site: Path) -> None:
     files = [path for path in site.rglob("*") if path.suffix in {".html", ".css", ".js", ".svg"}]
     loads = {path.name: other_hosts(path.name, path.read_text(encoding="utf-8")) for path in files}
@@ -126,6 +132,7 @@ def test_a_load_from_another_host_would_be_noticed(name: str, text: str) -> None
     assert not other_hosts(name, text.replace("https://other.example/", "").replace("//other.example/", ""))
 
 
+@pytest.mark.whole
 def test_formulas_are_drawn_without_a_script(site: Path) -> None:
     blocks = sum(page.read_text(encoding="utf-8").count("```math") for page in PAGES)
     drawn = [page.read_text(encoding="utf-8") for page in site.rglob("*.html")]
@@ -134,6 +141,7 @@ def test_formulas_are_drawn_without_a_script(site: Path) -> None:
     assert not left, "commands of LaTeX that are not known"
 
 
+@pytest.mark.whole
 def test_tables_from_the_code_are_there(site: Path) -> None:
     left = [page for page in site.rglob("*.html") if "<!-- generated" in page.read_text(encoding="utf-8")]
     assert not left
@@ -151,6 +159,7 @@ def test_tables_from_the_code_are_there(site: Path) -> None:
         assert found, f"{name}: {word}"
 
 
+@pytest.mark.whole
 def test_the_search_finds_a_word_of_the_glossary(site: Path) -> None:
     index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
     assert "glossary.html" in {

@@ -10,7 +10,10 @@ from needle_rig.errors import BadInput
 
 @dataclass(frozen=True)
 class Decay(Strategy):
-    """Base to θ_d, then to θ_d ± θ_lag · ratio^i in turn (`rotations` of them), then to θ_d."""
+    """Base to θ_d, then to either side of it in turn, less far each time, then to θ_d.
+
+    There are `rotations` of them: to θ_d ± θ_lag · `ratio`^i.
+    """
 
     rotations: int = 6
     ratio: float = 0.7

@@ -13,9 +13,10 @@ from needle_rig.units import deg, rad
 
 @dataclass(frozen=True)
 class Dither(Strategy):
-    """Base to θ_d while it oscillates by ± `amplitude_deg` at `frequency_hz`; the oscillation then dies away.
+    """Base to θ_d while it oscillates by a small angle; the oscillation then dies away.
 
-    Rejected by Reed 2008: a small oscillation frees only the needle near its base.
+    The angle is ± `amplitude_deg`, at `frequency_hz`. Rejected by Reed 2008: a small oscillation frees only
+    the needle near its base.
     """
 
     amplitude_deg: float = 2.0

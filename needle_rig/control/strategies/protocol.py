@@ -15,9 +15,10 @@ Each = float | tuple[float, ...] | list[float] | None
 
 @dataclass(frozen=True)
 class Protocol(Strategy):
-    """Base to each of `steps_deg` in turn, at `speed_deg_s`, resting `dwell_s` after each.
+    """Base to each angle of a list in turn, with a rest after each.
 
-    Speed and dwell are one number for all steps, a list with one for each, or None for the rig's own.
+    The list is `steps_deg`, the speed `speed_deg_s`, the rest `dwell_s`. Speed and rest are one number for
+    all steps, a list with one for each, or None for the rig's own.
     """
 
     steps_deg: tuple[float, ...] | list[float] = ()

@@ -13,9 +13,10 @@ from needle_rig.units import deg, rad
 
 @dataclass(frozen=True)
 class Reed2008Elastic(Strategy):
-    """As reed2008, the first correction `extra_deg` further in the direction of the target (Reed 2008: 12°).
+    """As reed2008, the first correction further by an extra turn towards the target (Reed 2008: 12°).
 
-    Without `extra_deg` it is learned: what the run before used (reed2008: nothing) and the lag that it left.
+    The extra turn is `extra_deg`. Without it, it is learned: what the run before used (reed2008: nothing) and
+    the lag that it left.
     """
 
     extra_deg: float | None = None

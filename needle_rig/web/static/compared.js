@@ -1,6 +1,6 @@
 // A model held against data: errors by channel and values, as they stand and refitted; what is held; figures.
 import { picture, save } from "./net.js";
-import { html, number, parameter, sentence, signal, ticked, words, written as field } from "./ui.js";
+import { distance, html, number, parameter, sentence, signal, ticked, words, written as field } from "./ui.js";
 
 /** @typedef {import("./types").CompareResult} Found */
 /** A number of a document: infinity is a text. @typedef {number | string | null} Told */
@@ -35,8 +35,8 @@ function Measured({ value, uncertainty }) {
 function Apart({ sigmas }) {
   if (sigmas === null || sigmas === undefined) return html`<td>–</td>`;
   const far = typeof sigmas === "string" || Math.abs(sigmas) > MARKED_SIGMAS;
-  const text = typeof sigmas === "string" ? told(sigmas) : `${sigmas > 0 ? "+" : ""}${number(sigmas, 1)}`;
-  return html`<td class=${far ? "doubt" : ""}>${far ? html`<strong>${text} σ</strong>` : `${text} σ`}</td>`;
+  const text = typeof sigmas === "string" ? `${told(sigmas)} σ` : distance(sigmas);
+  return html`<td class=${far ? "doubt" : ""}>${far ? html`<strong>${text}</strong>` : text}</td>`;
 }
 
 /** Each value of the model beside that of a refit. @param {{found: Found}} props */

@@ -111,9 +111,8 @@ function Trial({ found }) {
   const starts = found.phases.map((p, k) => ({ ...p, end_s: found.phases[k + 1]?.start_s ?? found.time_s.at(-1) }));
   return html`<section class="card"><h2>Change against the null model, in units of the noise</h2>
     <p class="quiet">A compensation to 45° on ${found.shaft}; noise ${significant(found.channels[0].noise)} N·mm and ${significant(found.channels[1].noise)}°.</p>
-    <div class="scroll" tabindex="0" role="group" aria-label="Change by channel"><table><thead><tr><th>channel</th>${found.channels.map((c) => html`<th>${words(c.name)}</th>`)}</tr></thead>
-      <tbody><tr><th scope="row">root mean square / noise</th>${found.channels.map((c) => html`<td>${number(c.rms_sigmas, 1)}</td>`)}</tr>
-      <tr><th scope="row">peak / noise</th>${found.channels.map((c) => html`<td>${number(c.most_sigmas, 1)}</td>`)}</tr></tbody></table></div>
+    <div class="scroll" tabindex="0" role="group" aria-label="Change by channel"><table><thead><tr><th scope="col">channel</th><th scope="col">root mean square / noise</th><th scope="col">peak / noise</th></tr></thead>
+      <tbody>${found.channels.map((c) => html`<tr><th scope="row">${words(c.name)}</th><td>${number(c.rms_sigmas, 1)}</td><td>${number(c.most_sigmas, 1)}</td></tr>`)}</tbody></table></div>
     <${Legend} series=${found.channels.map((c, k) => line(words(c.name), `--c${k}`))} />
     <${Plot} name="change" label="Change against the null model by channel" unit="change / noise" height=${200} cursor="learn" marks=${starts}
       series=${found.channels.map((c, k) => line(words(c.name), `--c${k}`))} data=${[found.time_s, ...found.channels.map((c) => c.sigmas)]} />

@@ -1,5 +1,5 @@
 // What the model of a run expects, as it comes while the run goes on: beside the measurement, and ahead of it.
-import { html, number, signal, words } from "./ui.js";
+import { distance, html, signal, words } from "./ui.js";
 
 /** Times with the mean and the standard deviation of each channel: torque / N·mm, then each Hall angle / °.
  * @typedef {{time_s: number[], mean: number[][], deviation: number[][]}} Course */
@@ -26,7 +26,7 @@ export function hear(told) {
   told.off.forEach((off, k) => {
     const channel = k ? `Hall angle ${k}` : "torque";
     if (Math.abs(off) > told.alarm_sigma && !left.some((text) => text.startsWith(channel)))
-      left.push(`${channel} ${number(Math.abs(off), 1)} σ ${off > 0 ? "above" : "below"}`);
+      left.push(`${channel} ${distance(off, "above", "below")}`);
   });
   expected.value = { run: told.run, past, ahead: told.ahead, off: told.off, left, band_sigma: told.band_sigma, alarm_sigma: told.alarm_sigma, refused: "" };
 }

@@ -1,7 +1,7 @@
 // The one client of the server's jobs: begin, follow, cancel, and the strip that shows them in every view.
 import { ask } from "./net.js";
 import { dataOf, dataRoute, look, refuse, route, said } from "./store.js";
-import { computed, html, number, signal, words } from "./ui.js";
+import { computed, html, number, plain, signal, words } from "./ui.js";
 
 const BUSY_MS = 250;
 const IDLE_MS = 3000;
@@ -85,7 +85,7 @@ export async function done(request) {
     timer = setTimeout(follow, 0);
   });
   if (job.state === "done") return job;
-  if (job.state === "failed" && !TOLD.includes(job.kind)) said.value = job.error;
+  if (job.state === "failed" && !TOLD.includes(job.kind)) said.value = plain(job.error);
   return null;
 }
 
@@ -158,7 +158,7 @@ export function Strip() {
   if (!running.length && !came.length) return null;
   return html`<section class="strip" aria-label="Work">
     ${running.map((job) => html`<div key=${job.key}><a href=${seenAt(job)}>${KINDS[job.kind]} ${subjectOf(job)}</a> <${Progress} job=${job} /></div>`)}
-    ${came.map((job) => html`<div key=${job.key} class=${job.state} role=${job.state === "failed" ? "alert" : "status"}><strong>${KINDS[job.kind]} ${subjectOf(job)}</strong> ${job.state === "done" ? html`<span>done</span> <a href=${seenAt(job)} onClick=${() => dismiss(job.key)}>Show the result</a>` : html`<span>${job.error}</span>`}
+    ${came.map((job) => html`<div key=${job.key} class=${job.state} role=${job.state === "failed" ? "alert" : "status"}><strong>${KINDS[job.kind]} ${subjectOf(job)}</strong> ${job.state === "done" ? html`<span>done</span> <a href=${seenAt(job)} onClick=${() => dismiss(job.key)}>Show the result</a>` : html`<span>${plain(job.error)}</span>`}
       <button onClick=${() => dismiss(job.key)} aria-label="Dismiss what came of the work">×</button></div>`)}</section>`;
 }
 

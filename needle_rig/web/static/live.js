@@ -6,7 +6,7 @@ import { Legend, Plot, edges, line } from "./plot.js";
 import { Shaft } from "./shaft.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
 import { answered, moveOn, sendOn } from "./stop.js";
-import { batch, html, number, sentence, signal, useEffect, useSignal, typeset, words, written } from "./ui.js";
+import { Cells, Heads, batch, html, number, plain, sentence, signal, useEffect, useSignal, typeset, words, written } from "./ui.js";
 
 const SILENT_MS = 800;
 const AGAIN_MS = 300;
@@ -204,14 +204,11 @@ function Faults({ state }) {
   const told = [...(state.fault ? [state.fault] : []), ...next, ...state.warnings, ...besides.value];
   if (!told.length) return null;
   return html`<section class="card wide fault" role="alert"><h2>${state.fault ? "Fault" : "To do"}</h2>
-    <ul>${told.map((text) => html`<li>${text}</li>`)}</ul></section>`;
+    <ul>${told.map((text) => html`<li>${plain(text)}</li>`)}</ul></section>`;
 }
 
 /** The listed name of a run file. @param {string} path */
 const nameOf = (path) => path.replace(/^.*\//, "").replace(/\.h5$/, "");
-
-/** What a terminal would do next; the page has a button for it. */
-const COMMAND = /: needle-rig diagnose \S+/;
 
 const PHASES = {
   idle: "at rest", rest: "reads the rest", moving: "moves", settling: "settles", measuring: "measures", holding: "holds the base",
@@ -241,7 +238,7 @@ function Sequence({ state }) {
     ${!count && !ended.value ? html`<p class="quiet">Compensate turns the base in several motions; each is shown here while it goes.</p>` : null}
     <ol class="steps">${steps.map((step) => html`<li class=${step.done ? "done" : step.now ? "now" : ""}
       aria-current=${step.now ? "step" : undefined}>${words(step.name)}</li>`)}</ol>
-    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${ended.value.text.replace(COMMAND, "").replace(/[^.]$/, "$&.")}</p>
+    ${!active && ended.value ? html`<p class="ended">${state.rig.simulated ? "Simulated: " : ""}${plain(ended.value.text).replace(/[^.]$/, "$&.")}</p>
       ${ended.value.result?.run ? html`<p class="buttons"><a class="button" href=${route("runs", nameOf(ended.value.result.run))}>This run</a> <a class=${ended.value.result.status === "not_aligned" ? "button go" : "button"} href=${dataRoute([run(nameOf(ended.value.result.run))])}>Diagnose this run</a></p>` : null}` : null}</section>`;
 }
 
@@ -297,14 +294,12 @@ function Orders({ state }) {
 /** What the plan expected before each motion, beside what came. @param {{state: State}} props */
 function Settled({ state }) {
   if (!state.settled.length) return null;
-  const halls = state.rig.hall_positions_mm.length;
-  return html`<section class="card wide"><h2>Motions: predicted and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table>
-    <thead><tr><th>motion</th><th>waypoint / °</th><th>base / °</th><th>torque / N·mm</th>
-      <th>predicted lag / °</th><th>measured lag / °</th><th>difference / °</th>
-      ${Array.from({ length: halls }, (_, k) => html`<th>hall ${k + 1} / °</th>`)}</tr></thead>
-    <tbody>${state.settled.map((m) => html`<tr><th scope="row">${words(m.phase)}</th>
-      <td>${number(m.waypoint_deg, 1)}</td><td>${number(m.base_deg, 2)}</td><td>${number(m.torque_nmm, 4)}</td>
-      <td>${number(m.predicted_lag_deg, 1)}</td><td>${number(m.tip_lag_deg, 1)}</td>
-      <td>${number(m.tip_lag_deg === null || m.predicted_lag_deg === null ? null : m.tip_lag_deg - m.predicted_lag_deg, 1)}</td>
-      ${m.hall_deg.map((a) => html`<td>${number(a, 1)}</td>`)}</tr>`)}</tbody></table></div></section>`;
+  const names = ["waypoint / °", "base / °", "torque / N·mm", "predicted lag / °", "measured lag / °", "difference / °",
+    ...state.rig.hall_positions_mm.map((_, k) => `hall ${k + 1} / °`)];
+  return html`<section class="card wide"><h2>Motions: predicted and measured</h2><div class="scroll" tabindex="0" role="group" aria-label="Table of motions"><table class="stacked numbers">
+    <${Heads} of="motion" names=${names} />
+    <tbody>${state.settled.map((m) => html`<tr><th scope="row">${words(m.phase)}</th><${Cells} names=${names} values=${[
+      number(m.waypoint_deg, 1), number(m.base_deg, 2), number(m.torque_nmm, 4), number(m.predicted_lag_deg, 1), number(m.tip_lag_deg, 1),
+      number(m.tip_lag_deg === null || m.predicted_lag_deg === null ? null : m.tip_lag_deg - m.predicted_lag_deg, 1),
+      ...m.hall_deg.map((a) => number(a, 1))]} /></tr>`)}</tbody></table></div></section>`;
 }

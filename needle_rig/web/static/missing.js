@@ -5,7 +5,7 @@ import { LearntLaws } from "./law.js";
 import { over } from "./residuals.js";
 import { save } from "./net.js";
 import { dataRoute, look, refuse, subject } from "./store.js";
-import { html, number, parameter, sentence, signal, significant, words } from "./ui.js";
+import { html, number, parameter, plain, sentence, signal, significant, words } from "./ui.js";
 
 const everyRow = signal(false);
 const SHOWN_ROWS = 6;
@@ -67,7 +67,7 @@ function Verdict({ found }) {
       <p>Adding it cuts the prediction error on unseen trials from ${significant(found.held_out_error_before)} to ${significant(found.held_out_error_after)} times the sensor noise.</p>`
       : html`<p class="verdict">${sentence(words(found.sentence))}</p><p>${found.errors_sentence}</p>`}
     ${found.quick ? html`<p>One effect alone was looked for. <button disabled=${busy.value} onClick=${() => diagnose(false)}>Look for several</button></p>` : null}
-    ${found.reasons.length ? html`<ul>${found.reasons.map((r) => html`<li>${r.sentence}</li>`)}</ul>` : null}
+    ${found.reasons.length ? html`<ul>${found.reasons.map((r) => html`<li>${plain(r.sentence)}</li>`)}</ul>` : null}
     <p>${choices.map((effect) => html`<button class="go" disabled=${busy.value} onClick=${() => adopt(effect ? [effect] : [])}>
       Add ${words(effect || found.effects.join(" and "))}</button> `)}</p>
     ${found.next_experiment ? html`<p><strong>Would tell them apart:</strong> ${found.next_experiment.sentence}</p>` : null}

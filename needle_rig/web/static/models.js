@@ -3,7 +3,7 @@ import { done, result } from "./jobs.js";
 import { ask, save } from "./net.js";
 import { about, dataRoute, heldModel, look, place, refuse, route, subject } from "./store.js";
 import { take } from "./taking.js";
-import { effect, html, measured, number, parameter, signal, significant, untracked, words } from "./ui.js";
+import { distance, effect, html, measured, number, parameter, signal, significant, untracked, words } from "./ui.js";
 
 /** The model whose document is shown, by key. @type {{value: {key: string, document: Learnt} | null}} */
 const shown = signal(null);
@@ -133,7 +133,7 @@ function Pair({ names }) {
     if (!a || !b || a.value === null || b.value === null) return html`<td>–</td>`;
     const spread = Math.hypot(a.uncertainty ?? 0, b.uncertainty ?? 0);
     const sigmas = spread > 0 ? (b.value - a.value) / spread : null;
-    return html`<td class=${sigmas !== null && Math.abs(sigmas) > 3 ? "doubt" : ""}>${sigmas === null ? "–" : `${number(sigmas, 1)} σ`}</td>`;
+    return html`<td class=${sigmas !== null && Math.abs(sigmas) > 3 ? "doubt" : ""}>${sigmas === null ? "–" : distance(sigmas)}</td>`;
   };
   return html`<h1>Models side by side</h1><section class="card"><div class="scroll" tabindex="0" role="group" aria-label="Two models"><table class="values">
       <thead><tr><th scope="col" class="text">value</th>${names.map((name) => html`<th scope="col"><a href=${route("models", name)}>${words(name)}</a></th>`)}<th scope="col">apart</th></tr></thead>

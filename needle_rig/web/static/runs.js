@@ -5,7 +5,7 @@ import { ask, save } from "./net.js";
 import { Legend, Plot, line, zoom } from "./plot.js";
 import { about, dataRoute, place, refuse, route, run, said } from "./store.js";
 import { Loop, Traced, recorded } from "./traced.js";
-import { computed, effect, html, number, signal, untracked, useEffect, useSignal, words, written } from "./ui.js";
+import { Cells, Heads, computed, effect, html, number, signal, untracked, useEffect, useSignal, words, written } from "./ui.js";
 
 /** What the server listed: runs, how many fit, how many were not read yet. @type {{value: import("./types").RunsDocument | null}} */
 const listed = signal(null);
@@ -191,6 +191,7 @@ function Told({ name }) {
   if (traces.value.id !== JSON.stringify([name])) return null;
   /** @type {Shown} */
   const shown = traces.value.runs[0];
+  const settled = ["base / °", "torque / N·mm", ...shown.sensors.map((sensor) => `${words(sensor)} / °`)];
   const models = about.value?.models ?? [];
   const key = choice.value === NULL ? null : choice.value;
   const held = choice.value && compared.value.of === `${name} ${key}` ? compared.value.found : null;
@@ -216,8 +217,8 @@ function Told({ name }) {
       <h3>Torque against angle</h3><${Loop} trial=${trial} name=${name} /></section>
     ${held ? html`<${Figures} busy=${working.some(alive)} draw=${draw} refuse=${refuse} />` : null}
     <div class="grid2"><section class="card"><h2>Settings</h2><dl class="settings">${Object.entries(shown.settings).map(([word, value]) => html`<div><dt>${word}</dt><dd>${words(value)}</dd></div>`)}</dl>
-        ${shown.result?.motions.length ? html`<h3>Motions</h3><div class="scroll" tabindex="0" role="group" aria-label="Motions of the run"><table><thead><tr><th scope="col">motion</th><th scope="col">base / °</th><th scope="col">torque / N·mm</th>${shown.sensors.map((sensor) => html`<th scope="col">${words(sensor)} / °</th>`)}</tr></thead>
-          <tbody>${shown.result.motions.map((motion) => html`<tr><th scope="row">${words(motion.phase)}</th><td>${number(motion.base_deg, 2)}</td><td>${number(motion.torque_nmm, 4)}</td>${motion.hall_deg.map((angle) => html`<td>${number(angle, 1)}</td>`)}</tr>`)}</tbody></table></div>` : null}</section>
+        ${shown.result?.motions.length ? html`<h3>Motions</h3><div class="scroll" tabindex="0" role="group" aria-label="Motions of the run"><table class="stacked numbers"><${Heads} of="motion" names=${settled} />
+          <tbody>${shown.result.motions.map((motion) => html`<tr><th scope="row">${words(motion.phase)}</th><${Cells} names=${settled} values=${[number(motion.base_deg, 2), number(motion.torque_nmm, 4), ...motion.hall_deg.map((angle) => number(angle, 1))]} /></tr>`)}</tbody></table></div>` : null}</section>
       <section class="card"><h2>Events</h2>${shown.events.length ? html`<div class="scroll events" tabindex="0" role="group" aria-label="Events of the run"><table><thead><tr><th scope="col">time / s</th><th scope="col" class="text">event</th></tr></thead>
         <tbody>${shown.events.map((event) => html`<tr class=${event.kind}><td>${number(event.time_s, 2)}</td><td class="text">${event.kind === "phase" ? "" : `${event.kind}: `}${words(event.text).replace(/^(\w+) \1,/, "$1,")}</td></tr>`)}</tbody></table></div>` : html`<p class="quiet">None were recorded.</p>`}</section></div>`;
 }

@@ -1,6 +1,6 @@
 // What the page is about: the place in its address, what can be chosen, what was refused. Work itself lies on the server.
 import { ask } from "./net.js";
-import { computed, effect, signal } from "./ui.js";
+import { computed, effect, plain, signal } from "./ui.js";
 
 /** A key with the name that people read. @typedef {{key: string, name: string}} Named */
 /** Data and the model that is held against them. @typedef {{data: Named[], model: Named | null, id: string}} Subject */
@@ -31,7 +31,7 @@ addEventListener("hashchange", () => {
 /** What was refused last. */
 export const said = signal("");
 /** @param {unknown} error */
-export const refuse = (error) => (said.value = /** @type {Error} */ (error).message);
+export const refuse = (error) => (said.value = plain(/** @type {Error} */ (error).message));
 
 /** What can be chosen: data, models, strategies, parameter sets. @type {{value: import("./types").AboutDocument | null}} */
 export const about = signal(null);

@@ -3,7 +3,7 @@ import { Working, alive, begin, jobs, result } from "./jobs.js";
 import { ask } from "./net.js";
 import { ShaftPicture } from "./shaft.js";
 import { about, modelCalled, place, refuse, route } from "./store.js";
-import { computed, effect, html, number, signal, untracked, typeset, useEffect, words, written, prose } from "./ui.js";
+import { Cells, Heads, computed, effect, html, number, signal, plain, untracked, typeset, useEffect, words, written, prose } from "./ui.js";
 
 const targets = signal("45");
 const seeds = signal("2");
@@ -80,16 +80,19 @@ function Known() {
     <dl class="known">${(about.value?.strategies ?? []).map((each) => html`<div><dt>${words(each.name)}</dt><dd>${typeset(each.text)}</dd></div>`)}</dl></section>`;
 }
 
+/** What the table has of each strategy. */
+const MEASURES = ["worst error / °", "tip lag / °", "mean error / °", "torque / N·mm", "rotations", "time / s"];
+
 /** @param {{found: Found}} props */
 function Table({ found }) {
   const rows = [...found.rows].sort((a, b) => (a.worst_deg?.median ?? Infinity) - (b.worst_deg?.median ?? Infinity));
   /** @param {{median: number, q95: number} | null | undefined} e @param {number} d */
   const both = (e, d) => (e ? (found.asked.seeds > 1 ? `${number(e.median, d)} (${number(e.q95, d)})` : number(e.median, d)) : "–");
   return html`<section class="card"><h2>Side by side</h2><p class="quiet">On ${words(found.of ? model.value?.name ?? "" : found.asked.parameters)}. ${found.asked.seeds > 1 ? "Medians, 95 % quantiles in brackets." : "One run of each kind."} Choose one to see its sequence.</p>
-    <div class="scroll" tabindex="0" role="group" aria-label="Strategies"><table><thead><tr><th>strategy</th><th>worst error / °</th><th>tip lag / °</th><th>mean error / °</th><th>torque / N·mm</th><th>rotations</th><th>time / s</th></tr></thead>
+    <div class="scroll" tabindex="0" role="group" aria-label="Strategies"><table class="stacked numbers"><${Heads} of="strategy" names=${MEASURES} />
       <tbody>${rows.map((row) => html`<tr class=${row.strategy === name.value ? "named" : ""}><th scope="row"><button title=${prose(told(row.strategy))} aria-pressed=${row.strategy === name.value} disabled=${!found.sequences[row.strategy]}
           onClick=${() => { name.value = row.strategy; step.value = 0; }}>${words(row.strategy)}</button></th>
-        ${row.refused && !row.worst_deg ? html`<td class="text" colspan="6">${row.refused}</td>` : html`<td>${both(row.worst_deg, 1)}</td><td>${both(row.tip_lag_deg, 1)}</td><td>${both(row.mean_deg, 1)}</td><td>${both(row.torque_nmm, 3)}</td><td>${number(row.rotations, 0)}</td><td>${number(row.time_s, 1)}</td>`}</tr>`)}</tbody></table></div></section>`;
+        ${row.refused && !row.worst_deg ? html`<td class="text" colspan="6">${plain(row.refused)}</td>` : html`<${Cells} names=${MEASURES} values=${[both(row.worst_deg, 1), both(row.tip_lag_deg, 1), both(row.mean_deg, 1), both(row.torque_nmm, 3), number(row.rotations, 0), number(row.time_s, 1)]} />`}</tr>`)}</tbody></table></div></section>`;
 }
 
 /** @param {{found: Found}} props */

@@ -3,7 +3,7 @@ import { Working, alive, begin, jobs } from "./jobs.js";
 import { ask } from "./net.js";
 import { Legend, Plot, dots, edges } from "./plot.js";
 import { place, refuse, route } from "./store.js";
-import { computed, effect, html, parameter, sentence, signal, significant, untracked, words } from "./ui.js";
+import { computed, effect, html, parameter, plain, sentence, signal, significant, untracked, words } from "./ui.js";
 
 /** @typedef {import("./types").TrendChart} Chart */
 /** @typedef {import("./types").TrendsDocument} Found */
@@ -31,7 +31,7 @@ export function Trends() {
     <section class=${now?.alarm ? "card fault" : "card"} role=${now?.alarm ? "alert" : undefined}><h2>${now?.alarm ? "Something has changed" : "The watch"}</h2>
       ${now ? null : html`<p class="quiet" role="status">Loading …</p>`}
       ${now && !now.watched ? html`<p>No run was looked at yet. Each look identifies the parameters of every recorded run by itself, in some seconds a run.</p>` : null}
-      ${now?.sentences.length ? now.sentences.map((text) => html`<p>${sentence(words(text.replace(COMMAND, "").replace(PARAMETER, parameter)))}</p>`) : null}
+      ${now?.sentences.length ? now.sentences.map((text) => html`<p>${sentence(words(plain(text).replace(PARAMETER, parameter)))}</p>`) : null}
       <p class="buttons"><button class=${now && !now.watched ? "go" : ""} disabled=${busy} onClick=${() => begin({ kind: "watch" })}>Look at new runs</button>
         ${now?.not_judged.length ? html`<span class="quiet">${now.not_judged.length} ${now.not_judged.length === 1 ? "run is" : "runs are"} not judged; see below.</span>` : null}</p>
       <${Working} kinds=${["watch"]} of=${looking.value} /></section>
@@ -44,8 +44,6 @@ export function Trends() {
 
 /** The name that a sentence of the watch begins with. */
 const PARAMETER = /^[a-z0-9_.]+_[a-z0-9_]+/;
-/** What a terminal would do next; the page has a button for it. */
-const COMMAND = /[;:]? (find out with: )?needle-rig [^)]*/;
 
 /** One parameter over the runs. @param {{chart: Chart, runs: Found["runs"]}} props */
 function Over({ chart, runs }) {

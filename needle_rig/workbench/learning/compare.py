@@ -25,6 +25,7 @@ from needle_rig.workbench.estimation.map_fit import fit
 from needle_rig.workbench.estimation.parameters import shared_names
 from needle_rig.workbench.estimation.unseen import unseen_names
 from needle_rig.workbench.learning.misfit import Misfit, finite, misfit
+from needle_rig.workbench.learning.places import NOISE_LIMIT
 from needle_rig.workbench.learning.steps import numbered
 from needle_rig.workbench.selection.answer import Say, left_out_error
 from needle_rig.workbench.selection.documents import (
@@ -38,6 +39,8 @@ from needle_rig.workbench.selection.values import ComparedValues, compared_value
 
 TOLD_SIGMAS = 3.0
 """Distance of a value from the model's above which a diagnosis tells it: one in 370 that agree."""
+SHIFTED_RATIO = 10.0
+"""Whitened error over error by size, above which both are explained: elsewhere it is 0.2 to 1.3."""
 LEARNT_HERE = "the model's history names data called so: if they are these, its values were fitted to them"
 NULL = "null"
 """Name of the model without values of its own."""
@@ -163,7 +166,21 @@ class TraceComparison:
     def notes(self) -> tuple[str, ...]:
         """Notes of the dataset and of the baseline fit."""
         learnt = (LEARNT_HERE,) if self.learnt_here else ()
-        return *learnt, *self.baseline.dataset.notes, *self.baseline.notes
+        return *learnt, *self._shifted(), *self.baseline.dataset.notes, *self.baseline.notes
+
+    def _shifted(self) -> list[str]:
+        """Channels whose noise is large, but moves all readings of a trial alike, as their error does not."""
+        said = []
+        for name, of in self.channels.items():
+            whitened, size = of["whitened"] or 0.0, of["in_noise_units"] or np.inf
+            if whitened > max(SHIFTED_RATIO * size, NOISE_LIMIT):
+                said.append(
+                    f"{name}: most of its noise of {of['noise']:.2g} {of['unit']} shifts all readings of a"
+                    " trial alike, as an unknown twist at the start does. The table divides by that; the"
+                    " error on commands left out counts what no shift explains: here"
+                    f" {left_out_error(whitened)} × the rest of the noise."
+                )
+        return said
 
     def places(self) -> list[PlaceError]:
         """Every channel × motion × state × direction."""

@@ -26,6 +26,7 @@ from needle_rig.workbench.selection.design import (
     proposals,
     protocol_of,
 )
+from needle_rig.workbench.selection.values import spelt_sigmas
 
 TOLD_APART_SIGMA = 2.0
 """Separation below which trials do not tell two effects apart: 95 %."""
@@ -63,7 +64,8 @@ class Experiment:
         """The proposal, what its repetition gives, and whether that is enough."""
         said = [
             self.sentence,
-            f"{REPLICATES} such trials on top of these data: {self.power_sigma:.1f}σ between the two.",
+            f"{REPLICATES} such trials on top of these data: {spelt_sigmas(self.power_sigma)} between the"
+            " two.",
         ]
         if self.power_sigma < TOLD_APART_SIGMA:
             said.append(

@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from needle_rig.model import SavedModel
 from needle_rig.workbench.learning.watched_runs import WatchedRun
-from needle_rig.workbench.selection.values import CONTRADICTS, with_uncertainty
+from needle_rig.workbench.selection.values import CONTRADICTS, spelt_sigmas, with_uncertainty
 
 
 def contradiction(runs: Sequence[WatchedRun], saved: SavedModel, named: str) -> str:
@@ -39,5 +39,5 @@ def against(run: WatchedRun, saved: SavedModel) -> str:
     return (
         f"the last run {run.run} contradicts the model {saved.model.name}: {worst} was"
         f" {with_uncertainty(of.value, of.uncertainty)} {of.unit} there, the model says {there},"
-        f" {abs(away[worst]):.1f}σ apart"
+        f" {spelt_sigmas(away[worst])} apart"
     )

@@ -29,7 +29,7 @@ from needle_rig.workbench.selection.documents import (
     MisfitDocument,
     PlaceError,
 )
-from needle_rig.workbench.selection.values import ComparedValues, compared_values
+from needle_rig.workbench.selection.values import ComparedValues, compared_values, spelt_sigmas
 
 NOISE_LIMIT = 3.0
 
@@ -247,7 +247,7 @@ def _rows(problem: SettledProblem, model: NeedleModel) -> tuple[Compared, ...]:
 
 
 def _apart(sigmas: float | None) -> str:
-    return "not weighed" if sigmas is None else f"{sigmas:.1f}σ"
+    return "not weighed" if sigmas is None else spelt_sigmas(sigmas)
 
 
 def _rms(values: list[float]) -> float:

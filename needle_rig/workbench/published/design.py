@@ -16,6 +16,7 @@ from needle_rig.dataset.settled import Seen
 from needle_rig.units import deg, nmm
 from needle_rig.workbench.published.fit import SettledFit, SettledProblem
 from needle_rig.workbench.selection.documents import NextSettled, Watched, WatchedPair
+from needle_rig.workbench.selection.values import spelt_sigmas
 from needle_rig.workbench.virtual.noise import NO_NOISE
 from needle_rig.workbench.virtual.settled_run import run_settled
 
@@ -129,5 +130,5 @@ def _sentence(problem: SettledProblem, names: Sequence[str], watch: Watch) -> st
     return (
         f"{sequence.title} to {sequence.target_deg:g}° again, with the base angle and every sensor recorded:"
         f" watch {sensor} in motion {watch.number} ({watch.of.motion}). At the same base angles it changes by"
-        f" {change(0)}, {others}; settled after it they are {watch.sigmas:.1f}σ apart."
+        f" {change(0)}, {others}; settled after it they are {spelt_sigmas(watch.sigmas)} apart."
     )

@@ -37,6 +37,7 @@ from needle_rig.workbench.selection.decisions import decision_at
 from needle_rig.workbench.selection.documents import Verdict
 from needle_rig.workbench.selection.explanation import Explanation
 from needle_rig.workbench.selection.residual_patterns import Pattern, ResidualPatterns
+from needle_rig.workbench.selection.values import spelt_sigmas
 from needle_rig.workbench.selection.verdict import Reason
 
 UNUSUAL = 1.0
@@ -207,7 +208,8 @@ def _size(found: SettledFit, effect: str) -> tuple[str, str, float]:
     unit = "" if parameter.info.unit == "1" else f" {parameter.info.unit}"
     low, high = parameter.info.literature
     pull = abs(float(pulls[worst]))
-    return f"{parameter.name} = {parameter.value(at):.3g}{unit}", f"({low:g} to {high:g}; {pull:.1f}σ)", pull
+    size = f"{parameter.name} = {parameter.value(at):.3g}{unit}"
+    return size, f"({low:g} to {high:g}; {spelt_sigmas(pull)})", pull
 
 
 def _decision(

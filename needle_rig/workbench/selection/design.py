@@ -22,6 +22,7 @@ from needle_rig.workbench.estimation.posterior import Objective
 from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, bin_trial
 from needle_rig.workbench.selection.documents import NextTrial
+from needle_rig.workbench.selection.values import spelt_sigmas
 from needle_rig.workbench.virtual.dataset import planned_motions
 from needle_rig.workbench.virtual.noise import NO_NOISE
 
@@ -51,8 +52,8 @@ class Proposal:
     def sentence(self, first: str, second: str) -> str:
         """In words."""
         return (
-            f"{described(self.command)} separates {first} from {second} by {self.separation_sigma:.1f}σ"
-            f" a trial of {self.duration_s:.0f} s; watch {self.watch}."
+            f"{described(self.command)} separates {first} from {second} by"
+            f" {spelt_sigmas(self.separation_sigma)} a trial of {self.duration_s:.0f} s; watch {self.watch}."
         )
 
 

@@ -14,11 +14,14 @@ from needle_rig.workbench.selection.candidates import Candidate
 from needle_rig.workbench.selection.evidence import adjusted_p, improves_cross_validation
 from needle_rig.workbench.selection.rivals import Rival
 from needle_rig.workbench.selection.search import SearchTrace
+from needle_rig.workbench.selection.values import spelt_sigmas
 
 TOLD_PULL_SIGMAS = 3.0
 """Pull of the stated rigidity from which it is reported against an effect."""
 TOLD_RIVALS = 2
 """Ties that are reported against an effect, the closest first."""
+TOLD_TIMES = 1.1
+"""Ratio of errors on commands left out, with and without an effect, from which it is reported."""
 
 
 def order(search: SearchTrace, named: list[str]) -> list[str]:
@@ -81,7 +84,7 @@ def rank(
                     values_of(adopted, effect),
                     tied,
                     apart[0].separation_sigma if apart else None,
-                    _favour(search, best, alone),
+                    _favour(search, best) + _without(search, effect, validation),
                     _against(adopted, effect, rivals[effect]),
                 )
             )
@@ -99,7 +102,7 @@ def rank(
                             values_of(found, rival.effect),
                             (effect,),
                             rival.separation_sigma,
-                            _favour(search, found, None),
+                            _favour(search, found),
                             _against(found, rival.effect, []) or f"{effect} fits as well",
                         )
                     )
@@ -149,14 +152,25 @@ def _removed(problem: Any, root: Fit, found: Fit) -> float:
     )
 
 
-def _favour(search: SearchTrace, found: Fit, alone: float | None) -> str:
+def _favour(search: SearchTrace, found: Fit) -> str:
     removed = 100 * _removed(search.problem, search.root, found)
-    sigmas = (
-        f"; without it the fit is {np.sqrt(max(alone, 0)):.0f}σ worse" if alone and np.isfinite(alone) else ""
-    )
     names = "it" if len(found.effects) - len(search.start) == 1 else "the model with it"
     told = " and predicts commands left out" if np.isfinite(search.root_validation.error) else ""
-    return f"{names} removes {removed:.0f} % of the error above the noise{told}{sigmas}"
+    return f"{names} removes {removed:.0f} % of the error above the noise{told}"
+
+
+def _without(search: SearchTrace, effect: str, validation: CrossValidation) -> str:
+    """What is lost without an effect that is named: by how much commands left out are missed then."""
+    rest = search.best - {effect}
+    if rest not in search.fits:
+        return ""
+    fit, left_out = search.fits[rest]
+    apart = spelt_sigmas(np.sqrt(max(fit.objective - search.fits[search.best][0].objective, 0.0)))
+    times = left_out.error / validation.error if left_out else np.nan
+    if not TOLD_TIMES < times < np.inf:
+        return f"; without it the fit is {apart} worse"
+    decimals = max(0, 1 - int(np.log10(times)))
+    return f"; without it the error on them is {times:.{decimals}f} times as large ({apart})"
 
 
 def _against(found: Fit, effect: str, rivals: list[Rival]) -> str:
@@ -167,8 +181,8 @@ def _against(found: Fit, effect: str, rivals: list[Rival]) -> str:
     ]
     tied = [r for r in rivals if r.tied]
     for rival in tied[:TOLD_RIVALS]:
-        apart = "" if rival.separation_sigma is None else f" ({rival.separation_sigma:.1f}σ apart)"
+        apart = "" if rival.separation_sigma is None else f" ({spelt_sigmas(rival.separation_sigma)} apart)"
         parts.append(f"{rival.effect} fits as well{apart}")
     if abs(found.pull_rigidity) > TOLD_PULL_SIGMAS:
-        parts.append(f"the needle's constants are pulled by {found.pull_rigidity:+.1f}σ")
+        parts.append(f"the stated constants of the needle are off by {spelt_sigmas(found.pull_rigidity)}")
     return "; ".join(parts)

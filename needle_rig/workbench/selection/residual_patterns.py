@@ -22,6 +22,7 @@ from needle_rig.workbench.estimation.linear import LinearisedFit
 from needle_rig.workbench.estimation.problem import Fit, Problem
 from needle_rig.workbench.observations.binning import BinnedTrial, direction_of
 from needle_rig.workbench.policy import POLICY
+from needle_rig.workbench.selection.values import spelt_sigmas
 
 NEEDLE = "the needle"
 MOST_PATTERNS = 5
@@ -48,7 +49,7 @@ class Pattern:
     def sentence(self) -> str:
         """In words."""
         return (
-            f"{self.channel} {self.law} (about {self.size:.2g} {self.unit}, {abs(self.sigmas):.0f}σ,"
+            f"{self.channel} {self.law} (about {self.size:.2g} {self.unit}, {spelt_sigmas(self.sigmas)},"
             f" {100 * self.share:.0f} % of the residual)"
         )
 

@@ -24,6 +24,8 @@ CONTRADICTS = 1e-3
 """p value below which data contradict a model's values: one in a thousand that agree is refused."""
 LEAST_P = 1e-9
 """p value that is reported: a normal distribution is not known farther out."""
+FARTHEST_SIGMAS = 8.0
+"""Distance up to which a figure is given: farther out (p = 1e-15) it says no more. The page has the same."""
 MOST_DECIMALS = 9
 
 
@@ -58,11 +60,11 @@ class ComparedValue:
                 " on it"
             )
         fitted = f"{with_uncertainty(self.refit, self.refit_uncertainty)}{unit}"
-        pull = "" if self.pull_sigma is None else f" ({self.pull_sigma:+.1f}σ from what is stated)"
+        pull = "" if self.pull_sigma is None else f" ({spelt_sigmas(self.pull_sigma)} from what is stated)"
         if self.model is None or self.sigmas is None:
             return f"fitted: {self.name} = {fitted}{pull}"
         stated = with_uncertainty(self.model, self.model_uncertainty)
-        return f"refitted: {self.name} = {fitted}; the model says {stated}: {self.sigmas:+.1f}σ"
+        return f"refitted: {self.name} = {fitted}; the model says {stated}: {spelt_sigmas(self.sigmas)} apart"
 
     def as_json(self) -> ComparedNumber:
         """As it stands in the JSON answer; JSON has no infinity, which is written as text."""
@@ -106,7 +108,7 @@ class ComparedValues:
             return f"the model's values hold on these data ({spelt}, limit {CONTRADICTS:g})"
         return (
             f"the model's values contradict these data ({spelt}, limit {CONTRADICTS:g}):"
-            f" {worst.name} is off by {abs(worst.sigmas or 0.0):.1f}σ"
+            f" {worst.name} is off by {spelt_sigmas(worst.sigmas or 0.0)}"
         )
 
     def sentences(self) -> list[str]:
@@ -131,6 +133,13 @@ class ComparedValues:
 def spelt_p(p: float) -> str:
     """A p value in words; one of 0 is below what a tail is known to."""
     return f"p = {p:.2g}" if p > LEAST_P else f"p < {LEAST_P:g}"
+
+
+def spelt_sigmas(sigmas: float) -> str:
+    """How far two things are apart, without a sign; beyond `FARTHEST_SIGMAS` no figure is given."""
+    if abs(sigmas) > FARTHEST_SIGMAS:
+        return f"more than {FARTHEST_SIGMAS:g}σ"
+    return f"{abs(sigmas):.1f}σ"
 
 
 def compared_values(

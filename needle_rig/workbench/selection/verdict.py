@@ -65,8 +65,8 @@ def stick_slip(found: Findings) -> str | None:
     return (
         f"{sentence(found.snaps)}; {missed}; a model without inertia gives neither the instant of a snap nor"
         " where it ends, so how friction falls once the needle slips, and what else is missing, cannot be"
-        " told from these data; `compensate --strategy planned --option use_hall=true` turns by the Hall"
-        " angles all the same"
+        " told from these data; the strategy planned turns by the Hall angles all the same"
+        " (needle-rig compensate --strategy planned --option use_hall=true)"
     )
 
 

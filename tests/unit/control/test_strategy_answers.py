@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from typing import Any
 
@@ -27,6 +28,8 @@ from needle_rig.control.strategy import (
     Task,
     Waypoint,
     make_strategy,
+    sentence,
+    shipped_strategies,
 )
 from needle_rig.errors import BadInput, NeedleRigError, RigFault
 from needle_rig.model import EXPERIMENT_LAYOUT
@@ -396,3 +399,12 @@ def test_any_object_is_refused_or_within_the_limits(answer: Any) -> None:
     assert SLOWEST_RAD_S <= speed_rad_s <= TASK.velocity_limit_rad_s
     assert SETTLE_S[0] <= settle_s <= SETTLE_S[1]
     assert 0 < len(told.name) <= NAME_LETTERS
+
+
+@pytest.mark.parametrize("name", sorted(shipped_strategies()))
+def test_a_strategy_says_what_it_does_without_the_names_of_its_options(name: str) -> None:
+    kind = shipped_strategies()[name]
+    told = sentence(kind)
+    assert told.endswith(".")
+    assert "`" not in told
+    assert not {field.name for field in fields(kind)} & set(re.findall(r"\w+", told))  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -199,6 +200,25 @@ def test_the_trial_with_the_worst_place_is_drawn_first_and_those_left_out_are_co
 def test_the_scale_of_the_map_is_the_same_for_all_data() -> None:
     scales = [residual_map(held(STIFFNESS, factor)).axes[0].images[0].get_clim() for factor in (0.5, 1.0)]
     assert scales[0] == scales[1] == (0.5, 100.0)
+
+
+@pytest.mark.parametrize(("motions", "names"), [(3, 3), (22, 22), (300, 34)])
+def test_the_names_below_the_map_stand_apart_and_each_motion_has_one(motions: int, names: int) -> None:
+    one = held(STIFFNESS, 0.5)
+    assert one.held is not None
+    place = one.held.places[0]
+    many = [
+        dataclasses.replace(place, motion=f"overshoot_{k}", state=state)
+        for k in range(motions)
+        for state in ("moving", "settled")
+    ]
+    figure = residual_map(dataclasses.replace(one, held=dataclasses.replace(one.held, places=tuple(many))))
+    figure.draw_without_rendering()
+    labels = figure.axes[0].get_xticklabels()
+    assert len({label.get_text() for label in labels}) == len(labels) == names
+    boxes = [label.get_window_extent() for label in labels]
+    assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+    assert figure.axes[0].images[0].get_size() == (1, 2 * motions)
 
 
 @pytest.mark.whole

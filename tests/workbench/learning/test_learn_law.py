@@ -77,7 +77,7 @@ def test_the_ladder_goes_from_null_by_the_learnt_law_to_the_noise_and_back(
     figure = ladder_figure(again)
     named = [axes for axes in figure.axes if axes.get_visible()]
     assert [label.get_text() for label in named[0].get_xticklabels()] == ["null", "+ third"]
-    assert "hall_2 / °" in [axes.get_title() for axes in named]
+    assert "hall 2 / °" in [axes.get_title() for axes in named]
     back = undo(again)
     assert back.model.effects == ()
     assert back.history == ()

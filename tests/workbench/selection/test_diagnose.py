@@ -15,6 +15,7 @@ from needle_rig.workbench.policy import POLICY
 from needle_rig.workbench.selection import notes, search
 from needle_rig.workbench.selection.candidates import refit
 from needle_rig.workbench.selection.diagnose import diagnose
+from needle_rig.workbench.selection.values import spelt_sigmas
 from needle_rig.workbench.virtual.noise import Noise
 from tests.values import known
 from tests.workbench.hidden import dataset, diagnosed, effect, few, null_fit, try_effect
@@ -41,6 +42,19 @@ def test_one_hidden_effect_is_named_with_its_size() -> None:
     assert found.held_out_error_after < 1.1 * found.noise_floor
     assert found.explained_fraction > 0.99
     assert found.decisions["tissue_elasticity"].decision == "present"
+    times = found.held_out_error_before / found.held_out_error_after
+    told = f"; without it the error on them is {times:.0f} times as large (more than 8σ)"
+    assert told in found.ranking[0].in_favour
+
+
+def test_a_distance_is_a_figure_as_far_as_a_chance_is_known() -> None:
+    assert [spelt_sigmas(sigmas) for sigmas in (0.04, -2.54, 7.96, 8.01, -2540.0)] == [
+        "0.0σ",
+        "2.5σ",
+        "8.0σ",
+        "more than 8σ",
+        "more than 8σ",
+    ]
 
 
 @pytest.mark.whole
