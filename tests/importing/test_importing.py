@@ -34,6 +34,7 @@ from needle_rig.importing.mapping import TrialsPart
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.unit_text import split_name, unit_of
 from needle_rig.workbench.observations.binning import MOVING_BINS, MOVING_BLOCKS
+from needle_rig.workbench.observations.measured_noise import SMOOTH_WINDOW
 
 ROOT = Path(__file__).parents[2]
 PRACTICE = ROOT / "tests/data/practice/elastic"
@@ -337,7 +338,7 @@ def hour_of(tmp_path: Path, rig: RigPart, table: np.ndarray, stroke_s: float) ->
 
 
 @pytest.mark.whole
-def test_fast_strokes_of_an_hour_are_kept_as_finely_as_they_drive_a_model(
+def test_fast_strokes_of_an_hour_are_kept_finely_and_not_to_the_end(
     tmp_path: Path, rig: RigPart, table: np.ndarray
 ) -> None:
     mapping, dataset = hour_of(tmp_path, rig, table, 2.5)
@@ -357,9 +358,9 @@ def test_slow_strokes_of_an_hour_are_averaged_and_kept_to_the_end(
     assert not [n for n in dataset.notes if "until_s" in n]
 
 
-def test_a_stroke_keeps_what_the_workbench_bins_and_drives() -> None:
+def test_a_stroke_keeps_what_the_workbench_bins_and_reads_noise_from() -> None:
     assert LEAST_OF_A_STROKE == MOVING_BINS
-    assert MOST_OF_A_STROKE == MOVING_BLOCKS
+    assert MOST_OF_A_STROKE == 4 * SMOOTH_WINDOW >= MOVING_BLOCKS
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.04])

@@ -22,9 +22,10 @@ from needle_rig.physics.machine import NEEDLE
 
 AT_REST = 0.005
 """Share of the largest rate up to which a base stands whose unit is not known."""
-LEAST_OF_A_STROKE, MOST_OF_A_STROKE = 14, 42
-"""Samples of a stroke of the base between two turns: one for each bin of a motion, and as many as drive a
-model in it (`MOVING_BINS`, `MOVING_BLOCKS` of the workbench)."""
+LEAST_OF_A_STROKE, MOST_OF_A_STROKE = 14, 64
+"""Samples of a stroke of the base between two turns: one for each bin of a motion (`MOVING_BINS` of the
+workbench), and four of the windows that noise is read from (`SMOOTH_WINDOW`): one with the turn, most
+without, also in strokes half as long. 42 drive a model (`MOVING_BLOCKS`)."""
 AT_RESTS = "cut where the base rests as it stood at the start, without torque or twist"
 
 
@@ -55,7 +56,8 @@ def kept_of(series: Sequence[Series], channels: Sequence[ChannelPart]) -> Kept:
     """What keeps a trial of the whole length below what a dataset holds.
 
     Samples are averaged while each stroke of the base keeps as many as it has bins. Where it cannot, a stroke
-    has as many as drive a model, and the end is left out: an average over a turn has no side to rub on.
+    has as many as model and noise are told from, and the end is left out: an average over a turn rubs neither
+    way.
     """
     s = _of_base(series, channels[0])
     rows = len(s.column.values)
