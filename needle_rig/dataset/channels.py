@@ -12,16 +12,17 @@ FULL_TURN_RAD = 2.0 * math.pi
 
 
 def unwrapped(angle_rad: Array) -> tuple[Array, int | None]:
-    """The angle without jumps by whole turns, and the place of the first jump (None without one).
+    """The angle without jumps by a whole turn, and the place of the first jump (None without one).
 
-    Only steps within 60° of a whole turn are taken for wraps: a single outlier stays what it is.
+    Only steps within 60° of a turn are taken for wraps: a single outlier stays what it is, and so does a way
+    of several turns between two samples. A reading that wraps lies within one turn.
     """
     known = np.flatnonzero(np.isfinite(angle_rad))
     if len(known) < 2:
         return angle_rad, None
     steps = np.diff(angle_rad[known])
     turns = np.round(steps / FULL_TURN_RAD)
-    turns[np.abs(steps - turns * FULL_TURN_RAD) > math.radians(60)] = 0.0
+    turns[(np.abs(turns) > 1.0) | (np.abs(steps - turns * FULL_TURN_RAD) > math.radians(60))] = 0.0
     if not turns.any():
         return angle_rad, None
     result = angle_rad.copy()

@@ -150,7 +150,12 @@ def _recording(
         for part, unit, time_s, rate in rates
     ]
     length_s = float(channels[BASE].time_s[-1])
-    rows_s = row_times(channels, mapping.rate_hz)
+    rows_s = row_times(channels, mapping.rate_hz, mapping.until_s)
+    if mapping.until_s is not None and mapping.until_s < length_s:
+        notes.append(
+            f"{source}: the first {mapping.until_s:g} s of {length_s:.0f} s are used (until_s): a dataset"
+            " that held all would not resolve the strokes of the base"
+        )
     loaded = [TIP_TORQUE] if TIP_TORQUE in channels else []
     table = np.column_stack(
         [rows_s]

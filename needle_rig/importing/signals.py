@@ -36,6 +36,9 @@ TURNS = (
     36000.0,
 )
 """Where angles of encoders and trackers wrap: degrees, radians, turns, counts."""
+LEVELS, TURN_LEVELS = 8, 2
+"""Even levels of a path's span, and how many in a row the base passes one way in a stroke: noise of a tenth
+of the span does not."""
 ROUND_STEP_DEG = 5.0
 ROUND_WITHIN_DEG = 0.2
 """Commands are multiples of 5° and drives reach them; 8 % of levels at random are that near to one."""
@@ -190,6 +193,25 @@ def peak_rate(time_s: Array, angle: Array) -> float:
         return 0.0
     rates = np.abs(np.diff(angle[known])[good] / steps[good])
     return float(np.quantile(rates, 0.98))
+
+
+def stroke_samples(path: Array) -> float:
+    """Samples (the median) from one turn back of a path (samples,) to the next; inf with fewer than two.
+
+    A path turns back where it passes `TURN_LEVELS` even levels of its span the other way: noise passes one to
+    and fro.
+    """
+    span = float(np.ptp(path)) if len(path) else 0.0
+    if not 0.0 < span < math.inf:
+        return math.inf
+    level = np.minimum((path - path.min()) * (LEVELS / span), LEVELS - 1).astype(np.int64)
+    at = np.flatnonzero(np.diff(level)) + 1
+    way = np.diff(level)[at - 1]
+    first = np.flatnonzero(np.diff(np.sign(way), prepend=0))
+    strokes = np.flatnonzero(np.abs(np.add.reduceat(way, first)) >= TURN_LEVELS)
+    begins, side = at[first[strokes]], np.sign(way[first[strokes]])
+    turns = begins[1:][np.diff(side) != 0]
+    return float(np.median(np.diff(turns))) if len(turns) > 1 else math.inf
 
 
 def clock_offset_s(time_a: Array, a: Array, time_b: Array, b: Array) -> tuple[float, float]:

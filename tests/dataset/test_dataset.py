@@ -747,6 +747,13 @@ def test_a_single_outlier_is_no_wrap() -> None:
     assert np.array_equal(again, angle)
 
 
+def test_a_way_of_several_turns_between_samples_is_no_wrap() -> None:
+    angle = np.cumsum(2 * math.pi * np.array([0.0, 4.6, 5.1, 6.0, 5.9, 0.0, -3.0, -1.6]))
+    again, place = unwrapped(angle)
+    assert place is None
+    assert np.array_equal(again, angle)
+
+
 def test_notes_stay_with_their_trial(folder: Path) -> None:
     table = rows(folder)
     table[10][2] = ""

@@ -15,7 +15,7 @@ import scipy.io
 from campaigns.files import import_files
 from needle_rig.cli.main import run as command
 from needle_rig.config.places import write_yaml
-from needle_rig.dataset import read_dataset, write_dataset
+from needle_rig.dataset import Dataset, read_dataset, write_dataset
 from needle_rig.dataset.description import RigPart, read_description
 from needle_rig.errors import BadInput
 from needle_rig.importing import (
@@ -29,9 +29,12 @@ from needle_rig.importing import (
     signals,
     write_mapping,
 )
+from needle_rig.importing.guess.trials import LEAST_OF_A_STROKE, MOST_OF_A_STROKE
 from needle_rig.importing.mapping import TrialsPart
 from needle_rig.importing.recording import Recording
 from needle_rig.importing.unit_text import split_name, unit_of
+from needle_rig.workbench.observations.binning import MOVING_BINS, MOVING_BLOCKS
+from needle_rig.workbench.observations.measured_noise import SMOOTH_WINDOW
 
 ROOT = Path(__file__).parents[2]
 PRACTICE = ROOT / "tests/data/practice/elastic"
@@ -323,6 +326,55 @@ def test_a_faster_recording_is_averaged_down(tmp_path: Path, rig: RigPart, table
     assert np.ptp(trial.base_measured_rad) == pytest.approx(np.radians(np.ptp(table[:, 1])), rel=0.01)
 
 
+def hour_of(tmp_path: Path, rig: RigPart, table: np.ndarray, stroke_s: float) -> tuple[Mapping, Dataset]:
+    """The mapping and the dataset of an hour of a base to and fro, 20 samples a second."""
+    time_s = np.arange(0.0, 3600.0, 0.05)
+    base_deg = 30.0 * np.sin(np.pi * time_s / stroke_s)
+    torque_nmm = 0.1 * np.tanh(np.gradient(base_deg, time_s))
+    base_deg += np.random.default_rng(0).normal(0.0, 0.05, len(base_deg))
+    long = np.column_stack([time_s, base_deg, torque_nmm, *[0.9 * base_deg] * (table.shape[1] - 3)])
+    mapping = mapped(written(tmp_path / "hour.csv", long), rig)
+    return mapping, dataset_of(mapping.model_copy(update={"trials": TrialsPart(start="wound")}), Path())
+
+
+@pytest.mark.whole
+def test_fast_strokes_of_an_hour_are_kept_finely_and_not_to_the_end(
+    tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    mapping, dataset = hour_of(tmp_path, rig, table, 2.5)
+    assert (mapping.rate_hz, mapping.until_s) == (20.0, 1000.0)
+    (trial,) = dataset.trials
+    assert trial.trial.time_s[-1] == pytest.approx(999.95)
+    assert [n for n in dataset.notes if "the first 1000 s of 3600 s are used (until_s)" in n]
+
+
+@pytest.mark.whole
+def test_slow_strokes_of_an_hour_are_averaged_and_kept_to_the_end(
+    tmp_path: Path, rig: RigPart, table: np.ndarray
+) -> None:
+    mapping, dataset = hour_of(tmp_path, rig, table, 5.0)
+    assert (mapping.rate_hz, mapping.until_s) == (5.0, None)
+    assert dataset.trials[0].trial.time_s[-1] > 3599.0
+    assert not [n for n in dataset.notes if "until_s" in n]
+
+
+def test_a_stroke_keeps_what_the_workbench_bins_and_reads_noise_from() -> None:
+    assert LEAST_OF_A_STROKE == MOVING_BINS
+    assert MOST_OF_A_STROKE == 4 * SMOOTH_WINDOW >= MOVING_BLOCKS
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.04])
+@pytest.mark.parametrize("stroke", [7.0, 50.0, 400.0])
+def test_strokes_are_counted_beside_noise_and_holds(stroke: float, noise: float) -> None:
+    k = np.arange(12_000)
+    path = np.sin(np.pi * k / stroke) + noise * np.random.default_rng(3).normal(size=k.size)
+    assert signals.stroke_samples(path) == pytest.approx(stroke, rel=0.1)
+    with_holds = np.repeat(path, np.where(k % stroke == 0, 100, 1))
+    assert signals.stroke_samples(with_holds) == pytest.approx(stroke + 99, rel=0.1)
+    assert signals.stroke_samples(np.arange(100.0)) == math.inf
+    assert signals.stroke_samples(np.zeros(100)) == math.inf
+
+
 def test_a_row_that_lost_a_field_does_not_shift_the_others(tmp_path: Path, table: np.ndarray) -> None:
     path = written(tmp_path / "log.csv", table)
     lines = path.read_text().splitlines()
@@ -399,6 +451,7 @@ def test_a_guess_taken_with_its_doubts_takes_what_is_written_says_so_and_keeps_t
     ("changes", "said"),
     [
         ({"rate_hz": 1e9}, "is more than the"),
+        ({"until_s": 0.01}, "until_s: 0.01 s hold [0-9] samples, fewer than 10"),
         ({"trials": {"at": "times", "times_s": [[900, 950]]}}, "lies outside"),
     ],
 )

@@ -53,11 +53,15 @@ def series_of(column: Column, clock: str, time_s: Array) -> Series:
     values = column.values[place]
     values = np.where(np.abs(values) < LARGEST_NUMBER, values, math.nan)
     if may_wrap(column):
-        unit = unit_of(column.unit)
-        turn = TURN_RAD / unit.si if unit is not None and unit.dimension == "angle" else None
-        values = signals.without_wraps(values, turn)
+        values = signals.without_wraps(values, turn_of(column))
     every = slice(None, None, max(1, len(place) // signals.LOOKED_AT))
     return Series(column, clock, time_s[place][every], values[every])
+
+
+def turn_of(column: Column) -> float | None:
+    """A whole turn in the unit of an angle; None where that is not written."""
+    unit = unit_of(column.unit)
+    return TURN_RAD / unit.si if unit is not None and unit.dimension == "angle" else None
 
 
 def may_wrap(column: Column) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,13 +14,18 @@ from needle_rig.dataset.table import MAX_SAMPLES
 from needle_rig.importing import names, signals
 from needle_rig.importing.axes import SUMMED, USUAL_LEVER_MM, size_si, summed
 from needle_rig.importing.guess.kinds import kind_of
-from needle_rig.importing.guess.series import Series
+from needle_rig.importing.guess.series import Series, may_wrap, turn_of
 from needle_rig.importing.mapping import ChannelPart, TrialsPart
 from needle_rig.importing.unit_text import unit_of
+from needle_rig.numerics import Array
 from needle_rig.physics.machine import NEEDLE
 
 AT_REST = 0.005
 """Share of the largest rate up to which a base stands whose unit is not known."""
+LEAST_OF_A_STROKE, MOST_OF_A_STROKE = 14, 64
+"""Samples of a stroke of the base between two turns: one for each bin of a motion (`MOVING_BINS` of the
+workbench), and four of the windows that noise is read from (`SMOOTH_WINDOW`): one with the turn, most
+without, also in strokes half as long. 42 drive a model (`MOVING_BLOCKS`)."""
 AT_RESTS = "cut where the base rests as it stood at the start, without torque or twist"
 
 
@@ -37,19 +42,50 @@ def trials_of(series: Sequence[Series]) -> tuple[TrialsPart, list[Series]]:
     return TrialsPart(at="rests", why=AT_RESTS), list(series)
 
 
-def rate_of_dataset(series: Sequence[Series], channels: Sequence[ChannelPart]) -> float | None:
-    """Samples a second that keep a trial of the whole length below what a dataset holds; None to keep all."""
-    base = channels[0]
-    s = next(x for x in series if x.clock == base.clock and x.column.name == base.source)
+@dataclass(frozen=True)
+class Kept:
+    """How much of a recording a dataset keeps."""
+
+    rate_hz: float | None = None
+    """Samples a second; None for all."""
+    until_s: float | None = None
+    """Length from the base's first sample on; None for all."""
+
+
+def kept_of(series: Sequence[Series], channels: Sequence[ChannelPart]) -> Kept:
+    """What keeps a trial of the whole length below what a dataset holds.
+
+    Samples are averaged while each stroke of the base keeps as many as it has bins. Where it cannot, a stroke
+    has as many as model and noise are told from, and the end is left out: an average over a turn rubs neither
+    way.
+    """
+    s = _of_base(series, channels[0])
     rows = len(s.column.values)
-    if rows <= MAX_SAMPLES:
-        return None
     length_s = float(s.time_s[-1] - s.time_s[0])
-    if length_s <= 0:
-        return None
-    allowed = min(MAX_SAMPLES / length_s, rows / length_s)
+    if rows <= MAX_SAMPLES or length_s <= 0:
+        return Kept()
     nice = [m * 10.0**e for e in range(-3, 6) for m in (1.0, 2.0, 5.0)]
-    return max(r for r in nice if r <= allowed)
+    own_hz = rows / length_s
+    even = max(r for r in nice if r <= min(MAX_SAMPLES / length_s, own_hz))
+    stroke_s = signals.stroke_samples(_path(s)) / own_hz
+    if even * stroke_s >= LEAST_OF_A_STROKE:
+        return Kept(even)
+    wanted = min((r for r in nice if r * stroke_s >= MOST_OF_A_STROKE), default=own_hz)
+    finer = max(r for r in nice if r <= min(wanted, own_hz))
+    return Kept(finer, MAX_SAMPLES / finer) if finer > even else Kept(even)
+
+
+def _of_base(series: Sequence[Series], base: ChannelPart) -> Series:
+    """The base's column on its clock."""
+    return next(x for x in series if x.clock == base.clock and x.column.name == base.source)
+
+
+def _path(s: Series) -> Array:
+    """Every known sample of a base, unwrapped, or what its rate sums up to; in no unit."""
+    values = s.column.values[np.isfinite(s.column.values)]
+    if kind_of(s.column)[0] in SUMMED:
+        return np.asarray(np.cumsum(values))
+    return signals.without_wraps(values, turn_of(s.column)) if may_wrap(s.column) else values
 
 
 def known_start(
@@ -66,7 +102,7 @@ def known_start(
     unit = unit_of(base.unit or "")
     if rig is None or rig.machine == NEEDLE or trials.at == "column":
         return trials
-    s = next(x for x in series if x.clock == base.clock and x.column.name == base.source)
+    s = _of_base(series, base)
     if kind_of(s.column)[0] in SUMMED:
         s = replace(s, values=summed(s.time_s, s.values))
     # a scale that is asked may be any: of the largest rate there is then a share
