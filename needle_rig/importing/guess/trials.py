@@ -55,9 +55,9 @@ class Kept:
 def kept_of(series: Sequence[Series], channels: Sequence[ChannelPart]) -> Kept:
     """What keeps a trial of the whole length below what a dataset holds.
 
-    Samples are averaged while each stroke of the base keeps as many as it has bins. Where it cannot, a stroke
-    has as many as model and noise are told from, and the end is left out: an average over a turn rubs neither
-    way.
+    Samples are averaged while each stroke of the base keeps one for each bin. Where it cannot, a stroke keeps
+    what a model is driven by and noise is measured from, and the end is left out: an average over a turn rubs
+    neither way.
     """
     s = _of_base(series, channels[0])
     rows = len(s.column.values)
