@@ -7,6 +7,7 @@ columns: its friction about the common one, its start, and the coefficient of th
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
@@ -39,8 +40,9 @@ from needle_rig.workbench.selection.values import ComparedValues, compared_value
 
 TOLD_SIGMAS = 3.0
 """Distance of a value from the model's above which a diagnosis tells it: one in 370 that agree."""
-SHIFTED_RATIO = 10.0
-"""Whitened error over error by size, above which both are explained: elsewhere it is 0.2 to 1.3."""
+SHIFTED_RATIO = math.sqrt(2.0)
+"""Whitened error over error by size, from which most of the noise's variance is what a trial's readings
+share."""
 LEARNT_HERE = "the model's history names data called so: if they are these, its values were fitted to them"
 NULL = "null"
 """Name of the model without values of its own."""
