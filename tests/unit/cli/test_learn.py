@@ -76,10 +76,9 @@ def test_settled_values_are_too_few_for_a_curve(capsys: Any) -> None:
 def answered(monkeypatch: Any) -> Any:
     """The command with an answer that needs no computing."""
     layout = SimpleNamespace(tissue_sections_m=((0.1, 0.12), (0.2, 0.22), (0.3, 0.32)))
-    baseline = SimpleNamespace(dataset=SimpleNamespace(layout=layout))
+    baseline: Any = SimpleNamespace(dataset=SimpleNamespace(layout=layout))
     origin = Origin("mine", "ab" * 32, "2026-11-23")
-    diagnosis: Any = SimpleNamespace(baseline=baseline)
-    answer = Learnt("law", (SLIT,), (), 18.8, 0.97, "A torque.", 70, diagnosis, origin)
+    answer = Learnt("law", (SLIT,), (), 18.8, 0.97, "A torque.", 70, baseline, origin)
     monkeypatch.setattr(learn_law, "laws_of", lambda *_, **__: answer)
     return str(Path(__file__).resolve().parents[2] / "data" / "practice" / "backlash")
 
