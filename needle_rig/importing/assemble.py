@@ -12,6 +12,7 @@ from needle_rig.dataset import Dataset, DatasetTrial, TrialCommand, in_series
 from needle_rig.dataset.description import layout_of, lever_of, needle_of
 from needle_rig.dataset.records import Start
 from needle_rig.dataset.samples import FEWEST_SAMPLES, LeftOut, checked_trial
+from needle_rig.dataset.table import MAX_SAMPLES
 from needle_rig.errors import BadInput
 from needle_rig.importing import signals
 from needle_rig.importing.axes import SUMMED, drift_sentence, summed
@@ -72,6 +73,18 @@ def dataset_of(
         machine=rig.machine,
         lever_m=lever_of(rig),
     )
+
+
+def held(time_s: Array, shown: str, notes: list[str]) -> int:
+    """How many of the samples of a trial at `time_s` a dataset holds, from the first on; `notes` tell where
+    its end is left out."""
+    if len(time_s) > MAX_SAMPLES:
+        used_s, whole_s = (float(time_s[k] - time_s[0]) for k in (MAX_SAMPLES, -1))
+        notes.append(
+            f"{shown}: the first {used_s:.4g} s of {whole_s:.4g} s are used, as a trial holds {MAX_SAMPLES:,}"
+            " samples; a smaller rate_hz averages over more of it"
+        )
+    return min(len(time_s), MAX_SAMPLES)
 
 
 def _recording(
@@ -150,12 +163,9 @@ def _recording(
         for part, unit, time_s, rate in rates
     ]
     length_s = float(channels[BASE].time_s[-1])
-    rows_s = row_times(channels, mapping.rate_hz, mapping.until_s)
-    if mapping.until_s is not None and mapping.until_s < length_s:
-        notes.append(
-            f"{source}: the first {mapping.until_s:g} s of {length_s:.0f} s are used (until_s): a dataset"
-            " that held all would not resolve the strokes of the base"
-        )
+    rows_s = row_times(channels, mapping.rate_hz)
+    if mapping.trials.at == "whole":
+        rows_s = rows_s[: held(rows_s, source, notes)]
     loaded = [TIP_TORQUE] if TIP_TORQUE in channels else []
     table = np.column_stack(
         [rows_s]
@@ -184,7 +194,7 @@ def _recording(
     trials = []
     for k, ((first, last), (turns_rad, came_s)) in enumerate(zip(cuts, before, strict=True), 1):
         shown = source if len(cuts) == 1 else f"{source}, trial {k}"
-        values = table[first:last].copy()
+        values = table[first : first + held(table[first:last, 0], shown, notes)].copy()
         start_s = begin_s + float(values[0, 0])
         values[:, 0] -= values[0, 0]
         to_si(values, parts, sensors, mapping.lever_mm)

@@ -113,8 +113,6 @@ class Mapping(_Part):
     trials: TrialsPart = TrialsPart()
     rate_hz: Annotated[float, Field(gt=0)] | None = None
     """Samples a second of the dataset; channels that are faster are averaged."""
-    until_s: Annotated[float, Field(gt=0)] | None = None
-    """Length of each recording that is used, from the base's first sample on."""
     dbc: str | None = None
     """Database of a CAN bus that its logs are decoded by; without it this rig's own."""
     not_used: tuple[Annotated[NotUsedPart, BeforeValidator(_with_reason)], ...] = ()

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from needle_rig.config.places import show_path
-from needle_rig.dataset.samples import FEWEST_SAMPLES
 from needle_rig.errors import BadInput
 from needle_rig.importing.mapping import BASE, ClockPart
 from needle_rig.importing.recording import Column, Recording
@@ -62,22 +61,16 @@ def clock_times(recording: Recording, name: str, clock: ClockPart, number: int, 
     return np.asarray(column.values * unit.si + offset_s, dtype=np.float64)
 
 
-def row_times(channels: dict[str, Channel], rate_hz: float | None, until_s: float | None = None) -> Array:
-    """Times of the rows, up to `until_s`: the base's samples or an even grid, and every sample of slower
-    channels. Raises BadInput."""
+def row_times(channels: dict[str, Channel], rate_hz: float | None) -> Array:
+    """Times of the rows: the base's samples or an even grid, and every sample of slower channels. Raises
+    BadInput."""
     base = channels[BASE].time_s
     if rate_hz is not None and rate_hz * float(base[-1]) > len(base) + 1:
         raise BadInput(
             f"rate_hz: {rate_hz:g} Hz is more than the {len(base) / float(base[-1]):.4g} Hz of base_angle; "
             "write a smaller one, or leave it out"
         )
-    end_s = float(base[-1]) if until_s is None else min(until_s, float(base[-1]))
-    rows = base[base <= end_s] if rate_hz is None else np.arange(0.0, end_s, 1.0 / rate_hz)
-    if until_s is not None and len(rows) < FEWEST_SAMPLES:
-        raise BadInput(
-            f"until_s: {until_s:g} s hold {len(rows)} samples, fewer than {FEWEST_SAMPLES}; write a longer"
-            " time, or leave it out"
-        )
+    rows = base if rate_hz is None else np.arange(0.0, float(base[-1]), 1.0 / rate_hz)
     step = float(np.median(np.diff(rows)))
     for channel in channels.values():
         own = float(np.median(np.diff(channel.time_s)))

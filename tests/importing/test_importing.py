@@ -342,10 +342,15 @@ def test_fast_strokes_of_an_hour_are_kept_finely_and_not_to_the_end(
     tmp_path: Path, rig: RigPart, table: np.ndarray
 ) -> None:
     mapping, dataset = hour_of(tmp_path, rig, table, 2.5)
-    assert (mapping.rate_hz, mapping.until_s) == (20.0, 1000.0)
+    assert mapping.rate_hz == 20.0
     (trial,) = dataset.trials
     assert trial.trial.time_s[-1] == pytest.approx(999.95)
-    assert [n for n in dataset.notes if "the first 1000 s of 3600 s are used (until_s)" in n]
+    assert [n for n in dataset.notes if "the first 1000 s of 3600 s are used" in n]
+    two = TrialsPart(at="times", times_s=((0.0, 500.0), (2000.0, 3500.0)), start="wound")
+    cut = dataset_of(mapping.model_copy(update={"trials": two}), Path())
+    # a trial loses its own end alone
+    assert [float(t.trial.time_s[-1]) for t in cut.trials] == pytest.approx([499.95, 999.95], abs=0.1)
+    assert [n for n in cut.notes if "trial 2: the first 1000 s of 1500 s are used" in n]
 
 
 @pytest.mark.whole
@@ -353,9 +358,9 @@ def test_slow_strokes_of_an_hour_are_averaged_and_kept_to_the_end(
     tmp_path: Path, rig: RigPart, table: np.ndarray
 ) -> None:
     mapping, dataset = hour_of(tmp_path, rig, table, 5.0)
-    assert (mapping.rate_hz, mapping.until_s) == (5.0, None)
+    assert mapping.rate_hz == 5.0
     assert dataset.trials[0].trial.time_s[-1] > 3599.0
-    assert not [n for n in dataset.notes if "until_s" in n]
+    assert not [n for n in dataset.notes if "are used" in n]
 
 
 def test_a_stroke_keeps_what_the_workbench_bins_and_reads_noise_from() -> None:
@@ -451,7 +456,6 @@ def test_a_guess_taken_with_its_doubts_takes_what_is_written_says_so_and_keeps_t
     ("changes", "said"),
     [
         ({"rate_hz": 1e9}, "is more than the"),
-        ({"until_s": 0.01}, "until_s: 0.01 s hold [0-9] samples, fewer than 10"),
         ({"trials": {"at": "times", "times_s": [[900, 950]]}}, "lies outside"),
     ],
 )

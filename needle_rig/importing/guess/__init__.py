@@ -18,7 +18,7 @@ from needle_rig.importing.guess.dropouts import doubt_dropouts
 from needle_rig.importing.guess.kinds import kind_of
 from needle_rig.importing.guess.known import Known
 from needle_rig.importing.guess.series import Series, series_of
-from needle_rig.importing.guess.trials import AT_RESTS, kept_of, known_start, trials_of
+from needle_rig.importing.guess.trials import AT_RESTS, known_start, rate_of_dataset, trials_of
 from needle_rig.importing.mapping import ClockPart, FilePart, Mapping, NotUsedPart, TrialsPart
 from needle_rig.importing.recording import Column, Recording
 from needle_rig.physics.machine import MachineName
@@ -104,14 +104,12 @@ def guess(
     trials = known_start(trials, channels[0], series, rig, known.lever_mm)
     used = {(c.clock, c.source) for c in channels} | {(k, c.source) for k, c in clocks.items()}
     used.add((trials.clock or "", trials.source))
-    kept = kept_of(series, channels)
     return Mapping(
         name=name,
         clocks=clocks,
         channels=tuple(channels),
         trials=trials,
-        rate_hz=kept.rate_hz,
-        until_s=kept.until_s,
+        rate_hz=rate_of_dataset(series, channels),
         not_used=tuple(
             NotUsedPart(clock=key[0], source=key[1], why=why[key])
             for key in columns_of_clock

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -42,37 +42,26 @@ def trials_of(series: Sequence[Series]) -> tuple[TrialsPart, list[Series]]:
     return TrialsPart(at="rests", why=AT_RESTS), list(series)
 
 
-@dataclass(frozen=True)
-class Kept:
-    """How much of a recording a dataset keeps."""
-
-    rate_hz: float | None = None
-    """Samples a second; None for all."""
-    until_s: float | None = None
-    """Length from the base's first sample on; None for all."""
-
-
-def kept_of(series: Sequence[Series], channels: Sequence[ChannelPart]) -> Kept:
-    """What keeps a trial of the whole length below what a dataset holds.
+def rate_of_dataset(series: Sequence[Series], channels: Sequence[ChannelPart]) -> float | None:
+    """Samples a second that keep a trial of the whole length below what a dataset holds; None to keep all.
 
     Samples are averaged while each stroke of the base keeps one for each bin. Where it cannot, a stroke keeps
-    what a model is driven by and noise is measured from, and the end is left out: an average over a turn rubs
-    neither way.
+    what a model is driven by and noise is measured from, and a trial loses its end: an average over a turn
+    rubs neither way.
     """
     s = _of_base(series, channels[0])
     rows = len(s.column.values)
     length_s = float(s.time_s[-1] - s.time_s[0])
     if rows <= MAX_SAMPLES or length_s <= 0:
-        return Kept()
+        return None
     nice = [m * 10.0**e for e in range(-3, 6) for m in (1.0, 2.0, 5.0)]
     own_hz = rows / length_s
     even = max(r for r in nice if r <= min(MAX_SAMPLES / length_s, own_hz))
     stroke_s = signals.stroke_samples(_path(s)) / own_hz
     if even * stroke_s >= LEAST_OF_A_STROKE:
-        return Kept(even)
+        return even
     wanted = min((r for r in nice if r * stroke_s >= MOST_OF_A_STROKE), default=own_hz)
-    finer = max(r for r in nice if r <= min(wanted, own_hz))
-    return Kept(finer, MAX_SAMPLES / finer) if finer > even else Kept(even)
+    return max(even, *(r for r in nice if r <= min(wanted, own_hz)))
 
 
 def _of_base(series: Sequence[Series], base: ChannelPart) -> Series:
