@@ -88,7 +88,7 @@ def test_a_model_that_is_wrong_is_told_while_the_run_goes(visit: Open, rig: Serv
     run_with_it(page, -30.0)
     alarm = page.get_by_role("alert").filter(has_text="The needle is not as the model")
     alarm.wait_for(timeout=20_000)
-    assert re.search(r"(torque|Hall angle \d) [\d.]+ σ (above|below)", alarm.inner_text())
+    assert re.search(r"(torque|Hall angle \d) (more than )?[\d.]+ σ (above|below)", alarm.inner_text())
     assert "needle-rig diagnose" not in page.locator(".ended").inner_text()
     look_at(page, "live-alarm")
     page.get_by_role("link", name="Diagnose this run").click()
